@@ -39,23 +39,23 @@ def header(
 ) -> Any:
     types = store.types
     stamp = types["builtin_interfaces/msg/Time"](sec=time_ns // 10**9, nanosec=time_ns % 10**9)
-    own = types["std_msgs/msg/Header"]
+    header_type = types["std_msgs/msg/Header"]
     return (
-        own(seq=sequence, stamp=stamp, frame_id=frame)
-        if "seq" in own.__annotations__
-        else own(stamp, frame)
+        header_type(seq=sequence, stamp=stamp, frame_id=frame)
+        if "seq" in header_type.__annotations__
+        else header_type(stamp, frame)
     )
 
 
 def ranges(seed: int = 1) -> np.ndarray:
     """A floor and a wall, noisy, with shots that do not come back: (lines, M) float32."""
     rng = np.random.default_rng(seed)
-    found = 4 + np.sin(np.linspace(0, 3, M)) + rng.normal(0, 0.01, (N_LINES, M))
-    found[rng.random((N_LINES, M)) < 0.1] = np.inf
-    found[0, 3] = np.nan
-    found[1, 3] = 200.0
-    found[2, 3] = 0.0
-    return found.astype(np.float32)
+    image = 4 + np.sin(np.linspace(0, 3, M)) + rng.normal(0, 0.01, (N_LINES, M))
+    image[rng.random((N_LINES, M)) < 0.1] = np.inf
+    image[0, 3] = np.nan
+    image[1, 3] = 200.0
+    image[2, 3] = 0.0
+    return image.astype(np.float32)
 
 
 def laser(
@@ -83,10 +83,19 @@ def echoes(
     lit: list[list[float]],
 ) -> Any:
     echo = store.types["sensor_msgs/msg/LaserEcho"]
-    one = [echo(np.array(each, np.float32)) for each in lists]
-    two = [echo(np.array(each, np.float32)) for each in lit]
+    range_echoes = [echo(np.array(values, np.float32)) for values in lists]
+    light_echoes = [echo(np.array(values, np.float32)) for values in lit]
     return store.types["sensor_msgs/msg/MultiEchoLaserScan"](
-        header(store, time_ns, "laser"), -1.5, 1.5, 0.1, 1e-5, 0.02, 0.1, 100.0, one, two
+        header(store, time_ns, "laser"),
+        -1.5,
+        1.5,
+        0.1,
+        1e-5,
+        0.02,
+        0.1,
+        100.0,
+        range_echoes,
+        light_echoes,
     )
 
 
@@ -129,13 +138,15 @@ def write_bag(
     if compression:
         writer.set_compression(Writer1.CompressionFormat[compression.upper()])
     with writer:
-        kinds = {one.topic: one.kind for one in sent}
+        kinds = {message.topic: message.kind for message in sent}
         topics = {
             name: writer.add_connection(name, kind, typestore=store) for name, kind in kinds.items()
         }
-        for one in sorted(sent, key=lambda each: each.time_ns):
+        for message in sorted(sent, key=lambda message: message.time_ns):
             writer.write(
-                topics[one.topic], one.time_ns, store.serialize_ros1(one.message, one.kind)
+                topics[message.topic],
+                message.time_ns,
+                store.serialize_ros1(message.message, message.kind),
             )
     return path
 
@@ -153,12 +164,12 @@ def write_mcap(
         )
         writer.start(profile="ros2")
         channels: dict[str, int] = {}
-        for one in sorted(sent, key=lambda each: each.time_ns):
-            if one.topic not in channels:
-                schema = writer.register_schema(one.kind, "ros2msg", b"")
-                channels[one.topic] = writer.register_channel(one.topic, "cdr", schema)
-            data = bytes(store.serialize_cdr(one.message, one.kind))
-            writer.add_message(channels[one.topic], one.time_ns, data, one.time_ns)
+        for message in sorted(sent, key=lambda message: message.time_ns):
+            if message.topic not in channels:
+                schema = writer.register_schema(message.kind, "ros2msg", b"")
+                channels[message.topic] = writer.register_channel(message.topic, "cdr", schema)
+            data = bytes(store.serialize_cdr(message.message, message.kind))
+            writer.add_message(channels[message.topic], message.time_ns, data, message.time_ns)
         writer.finish()
     return path
 
@@ -182,16 +193,16 @@ def write_db3(
         "INTEGER NOT NULL, "
         "data BLOB NOT NULL)"
     )
-    names = list(dict.fromkeys((one.topic, one.kind) for one in sent))
+    names = list(dict.fromkeys((message.topic, message.kind) for message in sent))
     for number, (topic, kind) in enumerate(names, 1):
         base.execute("INSERT INTO topics VALUES(?, ?, ?, 'cdr', '')", (number, topic, kind))
-    for one in sorted(sent, key=lambda each: each.time_ns):
-        data = bytes(store.serialize_cdr(one.message, one.kind, little_endian=little))
+    for message in sorted(sent, key=lambda message: message.time_ns):
+        data = bytes(store.serialize_cdr(message.message, message.kind, little_endian=little))
         data = zstandard.compress(data) if packed else data
-        number = names.index((one.topic, one.kind)) + 1
+        number = names.index((message.topic, message.kind)) + 1
         base.execute(
             "INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)",
-            (number, one.time_ns, data),
+            (number, message.time_ns, data),
         )
     base.commit()
     base.close()
@@ -218,6 +229,6 @@ def cloud(
     data = np.frombuffer(table.tobytes(), np.uint8)
     step = table.dtype.itemsize
     width = len(table) // height
-    own = types["sensor_msgs/msg/PointCloud2"]
+    cloud_type = types["sensor_msgs/msg/PointCloud2"]
     head = header(STORES[version], time_ns, frame)
-    return own(head, height, width, fields, is_big, step, step * width, data, True)
+    return cloud_type(head, height, width, fields, is_big, step, step * width, data, True)

@@ -30,7 +30,8 @@ def shots(seed: int = 5) -> dict[str, np.ndarray]:
     """
     rng = np.random.default_rng(seed)
     column, ring = (
-        each.ravel() for each in np.meshgrid(np.arange(N_LINES), np.arange(N_RINGS), indexing="ij")
+        index.ravel()
+        for index in np.meshgrid(np.arange(N_LINES), np.arange(N_RINGS), indexing="ij")
     )
     range_m = rng.uniform(5, 6, N_LINES * N_RINGS)
     range_m[rng.random(len(range_m)) < 0.2] = np.nan
@@ -153,11 +154,11 @@ def test_the_place_of_the_scanner_is_told(tmp_path: Path) -> None:
     at_scanner = record(tmp_path / "own.mcap", drive, np.arange(N_RINGS))
     on_map = {**drive, "xyz": drive["xyz"] + np.array([450.0, -20.0, 31.0])}
     far = record(tmp_path / "map.mcap", on_map, np.arange(N_RINGS))
-    told = InputConfig.model_validate({"range": "origin:450,-20,31"})
+    config = InputConfig.model_validate({"range": "origin:450,-20,31"})
     expected = join(list(BagStream(at_scanner, InputConfig()).blocks()))
-    found = join(list(BagStream(far, told).blocks()))
-    np.testing.assert_allclose(found.range_m, expected.range_m, atol=1e-4)
-    np.testing.assert_allclose(found.xyz_m, expected.xyz_m, atol=1e-4)
+    block = join(list(BagStream(far, config).blocks()))
+    np.testing.assert_allclose(block.range_m, expected.range_m, atol=1e-4)
+    np.testing.assert_allclose(block.xyz_m, expected.xyz_m, atol=1e-4)
 
 
 def test_lines_of_a_profiler_have_no_place(tmp_path: Path) -> None:

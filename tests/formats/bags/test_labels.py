@@ -65,7 +65,10 @@ def echoes(version: int) -> list[made.Sent]:
     store = made.STORES[version]
     times = [made.START_NS + i * made.PERIOD_NS for i in range(3)]
     kind = "sensor_msgs/msg/MultiEchoLaserScan"
-    return [made.Sent("/scan", kind, at, made.echoes(store, at, lists, lists)) for at in times]
+    return [
+        made.Sent("/scan", kind, time_ns, made.echoes(store, time_ns, lists, lists))
+        for time_ns in times
+    ]
 
 
 def recorded(folder: Path, name: str, suffix: str, **options: Any) -> Path:
@@ -95,7 +98,7 @@ def write(source: Path, output: Path, *, seed: int = 1, **options: Any) -> U8:
     common.write(alone, source, blocks, record)
     written = common.write(output, source, blocks, record, rules=rules)
     codes: U8 = np.load(alone)
-    assert {one.code: one.count for one in written.classes} == {
+    assert {count.code: count.count for count in written.classes} == {
         int(code): int(n) for code, n in zip(*np.unique(codes, return_counts=True), strict=True)
     }
     assert len(codes) == tally.n_records
@@ -109,8 +112,8 @@ def read_codes(path: Path, dimension: str | None = None) -> Any:
 def by_topic(path: Path) -> dict[str, list[tuple[int, bytes]]]:
     found: dict[str, list[tuple[int, bytes]]] = {}
     bag = Bag(path)
-    for one in bag.messages(list(bag.counts)):
-        found.setdefault(one.topic.name, []).append((one.time_ns, one.data))
+    for message in bag.messages(list(bag.counts)):
+        found.setdefault(message.topic.name, []).append((message.time_ns, message.data))
     return found
 
 
@@ -157,32 +160,34 @@ def test_other_readers_find_points_and_codes(tmp_path: Path, suffix: str) -> Non
         AnyReader([named], default_typestore=store) as new,
     ):
         points = [
-            read(data, one.msgtype) for one, _, data in old.messages() if one.topic == "/points"
+            read(data, connection.msgtype)
+            for connection, _, data in old.messages()
+            if connection.topic == "/points"
         ]
-        for one, _, data in new.messages():
-            found: Any = read(data, one.msgtype)
-            if one.topic in ("/a/labels", "/b/labels"):
-                assert (found.header.frame_id, len(found.ranges)) == (
-                    {"/a": "other", "/b": "laser"}[one.topic[:2]],
+        for connection, _, data in new.messages():
+            message: Any = read(data, connection.msgtype)
+            if connection.topic in ("/a/labels", "/b/labels"):
+                assert (message.header.frame_id, len(message.ranges)) == (
+                    {"/a": "other", "/b": "laser"}[connection.topic[:2]],
                     made.M,
                 )
-                codes.append(found.intensities.astype(int))
-            elif one.topic == "/points":
+                codes.append(message.intensities.astype(int))
+            elif connection.topic == "/points":
                 was: Any = points.pop(0)
-                added = found.fields[-1]
-                assert found.fields[:-1] == was.fields
+                added = message.fields[-1]
+                assert message.fields[:-1] == was.fields
                 assert (added.name, added.datatype, added.count) == ("label", 2, 1)
-                rows = found.data.reshape(-1, found.point_step)
+                rows = message.data.reshape(-1, message.point_step)
                 np.testing.assert_array_equal(
                     rows[:, : was.point_step], was.data.reshape(-1, was.point_step)
                 )
-                assert (found.width, found.height, found.is_dense) == (
+                assert (message.width, message.height, message.is_dense) == (
                     was.width,
                     was.height,
                     was.is_dense,
                 )
-                assert (found.row_step, found.is_bigendian) == (
-                    found.width * found.point_step,
+                assert (message.row_step, message.is_bigendian) == (
+                    message.width * message.point_step,
                     was.is_bigendian,
                 )
                 codes.append(rows[:, added.offset].astype(int))
@@ -202,14 +207,14 @@ def test_rows_lose_their_padding_and_a_label_of_the_input_its_values() -> None:
     message.row_step = 3 * step + 10
     store = made.STORES[2]
     data = bytes(store.serialize_cdr(message, message.__msgtype__))
-    found = store.deserialize_cdr(
+    cloud = store.deserialize_cdr(
         CloudCodec(is_cdr=True).label(data, lambda n: np.arange(n, dtype=np.uint8)),
         message.__msgtype__,
     )
     table["label"] = np.arange(6)
-    assert (found.height, found.width, found.point_step, found.row_step) == (2, 3, step, 3 * step)
-    assert found.data.tobytes() == table.tobytes()
-    assert found.fields == message.fields
+    assert (cloud.height, cloud.width, cloud.point_step, cloud.row_step) == (2, 3, step, 3 * step)
+    assert cloud.data.tobytes() == table.tobytes()
+    assert cloud.fields == message.fields
 
 
 @pytest.mark.parametrize("suffix", WRITE)
@@ -225,7 +230,7 @@ def test_nothing_is_left_of_a_run_that_ends_early(
     monkeypatch.setattr(rosbag1.Writer if suffix == ".bag" else rosbag2.Writer, "write", full)
     with pytest.raises(OutputError, match="the disk is full"):
         write(source, folder / f"a{suffix}")
-    assert {one.name for one in folder.iterdir()} == {f"a{suffix}.npy", f"a{suffix}.npy.prc.json"}
+    assert {path.name for path in folder.iterdir()} == {f"a{suffix}.npy", f"a{suffix}.npy.prc.json"}
 
 
 def test_a_killed_run_leaves_nothing_for_long(tmp_path: Path) -> None:
@@ -249,7 +254,7 @@ def test_real_bags(tmp_path: Path, real_data: Path, name: str) -> None:
     assert {topic: after[topic] for topic in before} == before
     assert ClassCodes().code(Label.GROUND) in codes
     with AnyReader([output]) as reader:
-        kinds = {one.topic: one.msgtype for one in reader.connections}
+        kinds = {connection.topic: connection.msgtype for connection in reader.connections}
     assert all(kinds[topic] == kinds[topic.removesuffix("/labels")] for topic in kinds)
 
 
@@ -280,8 +285,8 @@ def test_the_command_and_a_folder_as_input(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("suffix", "packed"),
     [
-        *((".bag", one) for one in ("", "bz2", "lz4")),
-        *((".mcap", one) for one in ("", "lz4", "zstd")),
+        *((".bag", compression) for compression in ("", "bz2", "lz4")),
+        *((".mcap", compression) for compression in ("", "lz4", "zstd")),
         (".db3", ""),
         (".db3", "zstd"),
     ],
@@ -313,15 +318,15 @@ def test_a_recording_in_several_files_is_one_stream(tmp_path: Path) -> None:
     (folder / "metadata.yaml").write_text(
         f"rosbag2_bagfile_information:\n  relative_file_paths:\n{listed}"
     )
-    given = load_config(preset="urban")
-    classify(whole, tmp_path / "whole.npy", given)
-    classify(folder, tmp_path / "split.npy", given)
+    config = load_config(preset="urban")
+    classify(whole, tmp_path / "whole.npy", config)
+    classify(folder, tmp_path / "split.npy", config)
     assert np.array_equal(np.load(tmp_path / "whole.npy"), np.load(tmp_path / "split.npy"))
     # each part is a bag of its own where it is named
-    classify(folder / names[2], tmp_path / "last.npy", given)
+    classify(folder / names[2], tmp_path / "last.npy", config)
     assert len(np.load(tmp_path / "last.npy")) == 2 * made.M
     with pytest.raises(OutputError, match="found metadata.yaml"):
-        classify(folder, tmp_path / "out.db3", given)
+        classify(folder, tmp_path / "out.db3", config)
     (folder / names[1]).unlink()
-    told = runner().invoke(cli, ["info", str(folder)])
-    assert "name the file in this bag" in told.stderr
+    result = runner().invoke(cli, ["info", str(folder)])
+    assert "name the file in this bag" in result.stderr

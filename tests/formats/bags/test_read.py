@@ -78,11 +78,13 @@ def test_topics_and_frames_are_scanners_of_their_own(tmp_path: Path) -> None:
     ]
     path = made.write_mcap(tmp_path / "three.mcap", [*sent, *made.strings(2)])
     stream, blocks = read(path)
-    found = {block.scanner: block.range_m for block in blocks}
-    assert sorted(found) == [0, 1, 2]
-    told = {one.key: one.value + one.why for one in stream.info.assumptions}
-    assert "0: /a (one); 1: /b (left); 2: /b (right)" in told["input.scanner"]
-    np.testing.assert_array_equal(found[2] > 0, (made.ranges(3) > 0.1) & (made.ranges(3) < 100))
+    ranges = {block.scanner: block.range_m for block in blocks}
+    assert sorted(ranges) == [0, 1, 2]
+    assumptions = {
+        assumption.key: assumption.value + assumption.why for assumption in stream.info.assumptions
+    }
+    assert "0: /a (one); 1: /b (left); 2: /b (right)" in assumptions["input.scanner"]
+    np.testing.assert_array_equal(ranges[2] > 0, (made.ranges(3) > 0.1) & (made.ranges(3) < 100))
     records = np.concatenate([block.records().ravel() for block in blocks])
     assert np.array_equal(np.sort(records), np.arange(3 * made.N_LINES * made.M))
     _, only = read(path, topic="/a")
@@ -95,7 +97,10 @@ def test_echoes_are_returns(tmp_path: Path) -> None:
     lit = [[1.0, 8.0], [], [2.0], [9.0, 1.0], [1.0]]
     kind = "sensor_msgs/msg/MultiEchoLaserScan"
     times = [made.START_NS + i * made.PERIOD_NS for i in range(2)]
-    sent = [made.Sent("/scan", kind, at, made.echoes(store, at, lists, lit)) for at in times]
+    sent = [
+        made.Sent("/scan", kind, time_ns, made.echoes(store, time_ns, lists, lit))
+        for time_ns in times
+    ]
     path = made.write_bag(tmp_path / "echoes.bag", sent)
     (block,) = read(path)[1]
     np.testing.assert_array_equal(block.range_m[0], np.array([5, np.nan, 7, 9, np.nan], np.float32))
@@ -128,12 +133,14 @@ def test_clouds_and_laser_scans_are_read_together_but_for_scans_of_a_cloud(tmp_p
     sent = [*messages(drive(), dtype), *made.lasers(2), *made.lasers(2, "/of_cloud", "velodyne")]
     stream, blocks = read(made.write_mcap(tmp_path / "mixed.mcap", sent))
     assert {block.scanner: block.points_per_line for block in blocks} == {0: 8, 1: made.M}
-    told = {one.key: one.value + one.why for one in stream.info.assumptions}
-    assert told["input.topic"] == "/points, /scanother scans: /of_cloud (input.topic)"
+    assumptions = {
+        assumption.key: assumption.value + assumption.why for assumption in stream.info.assumptions
+    }
+    assert assumptions["input.topic"] == "/points, /scanother scans: /of_cloud (input.topic)"
     assert stream.info.facts.scanners == ("/points (velodyne)", "/scan (laser)")
     records = np.concatenate([block.records().ravel() for block in blocks])
-    found = np.sort(records[records >= 0])
-    assert np.array_equal(found, np.arange(sum(block.tally.n_records for block in blocks)))
+    known = np.sort(records[records >= 0])
+    assert np.array_equal(known, np.arange(sum(block.tally.n_records for block in blocks)))
     result = runner().invoke(cli, ["info", str(tmp_path / "mixed.mcap")])
     assert "/scan (laser): no vertical direction known" in " ".join(result.output.split())
 
@@ -177,8 +184,8 @@ def test_a_message_that_grows_beyond_measure_is_refused(
 
 @pytest.mark.parametrize("name", ["a.bag", "a.mcap"])
 def test_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    for each in ("rosbags", "rosbags.rosbag1", "rosbags.rosbag2"):
-        monkeypatch.setitem(sys.modules, each, None)
+    for module in ("rosbags", "rosbags.rosbag1", "rosbags.rosbag2"):
+        monkeypatch.setitem(sys.modules, module, None)
     (tmp_path / name).write_bytes(b"x")
     with pytest.raises(
         InputError, match=r"needs rosbags, which is not installed; pip install prc-cli\[ros\]"
@@ -256,12 +263,16 @@ def test_the_laser_sample_is_what_rosbags_reads(real_data: Path, tmp_path: Path)
     path = real_data / "ros" / "sick_lms1xx_ros1.bag"
     (block,) = read(path)[1]
     with AnyReader([path]) as reader:
-        chosen = [one for one in reader.connections if one.topic == "/sick_lms_1xx/scan"]
-        scans = [
-            reader.deserialize(raw, one.msgtype)
-            for one, _, raw in reader.messages(connections=chosen)
+        chosen = [
+            connection
+            for connection in reader.connections
+            if connection.topic == "/sick_lms_1xx/scan"
         ]
-        counts = {one.topic: one.msgcount for one in reader.connections}
+        scans = [
+            reader.deserialize(raw, connection.msgtype)
+            for connection, _, raw in reader.messages(connections=chosen)
+        ]
+        counts = {connection.topic: connection.msgcount for connection in reader.connections}
     ranges = np.stack([scan.ranges for scan in scans])
     inside = (ranges >= scans[0].range_min) & (ranges <= scans[0].range_max)
     assert ranges.shape == (89, 541)
@@ -276,9 +287,9 @@ def test_the_laser_sample_is_what_rosbags_reads(real_data: Path, tmp_path: Path)
     assert float(np.mean(~inside)) == pytest.approx(0.129, abs=1e-3)
     told_down = ("--set", "input.nadir=0")  # a room has a ceiling, too
     told = runner().invoke(cli, ["info", "--json", str(path), "--method", "fused", *told_down])
-    found = json.loads(told.output)
-    assert found["classifiable"] is True
-    assert found["header"]["topic /sick_lms_1xx/scan"] == "sensor_msgs/LaserScan, 89 messages"
+    info = json.loads(told.output)
+    assert info["classifiable"] is True
+    assert info["header"]["topic /sick_lms_1xx/scan"] == "sensor_msgs/LaserScan, 89 messages"
     assert counts["/sick_lms_1xx/scan"] == 89
     output = tmp_path / "labels.npy"
     result = runner().invoke(
@@ -306,16 +317,16 @@ def test_packets_of_the_samples_are_decoded_cell_by_cell(
     bag = Bag(path)
     for message in bag.messages(bag.counts):
         data = message.data
-        at = 4
-        at += 8 + 4 + struct.unpack_from("<I", data, at + 8)[0]
-        at += -(at - 4) % 4
-        (n,) = struct.unpack_from("<I", data, at)
-        at += 4
+        position = 4
+        position += 8 + 4 + struct.unpack_from("<I", data, position + 8)[0]
+        position += -(position - 4) % 4
+        (n,) = struct.unpack_from("<I", data, position)
+        position += 4
         for _ in range(n):
-            at += -(at - 4) % 4
+            position += -(position - 4) % 4
             if name == "nebula_vlp16":
-                packet = data[at + 8 : at + 8 + 1206]
-                at += 8 + 1206
+                packet = data[position + 8 : position + 8 + 1206]
+                position += 8 + 1206
                 for pair in range(6):
                     for firing in range(2):
                         row = [
@@ -324,8 +335,8 @@ def test_packets_of_the_samples_are_decoded_cell_by_cell(
                         ]
                         rows.append(row)
             else:
-                packet = data[at + 8 : at + 8 + 568]
-                at += 8 + 1504
+                packet = data[position + 8 : position + 8 + 568]
+                position += 8 + 1504
                 starts = [[12 + 66 * (2 * pair + r) + 2 for r in range(2)] for pair in range(4)]
                 rows += [
                     [_two(packet, start, range(15, -1, -1), 4) for start in two] for two in starts
@@ -400,7 +411,7 @@ def test_the_samples_of_every_model_have_the_points_of_another_decoder(
     step = 360.0 / 0.1 * np.nanmedian(np.diff(block.time_s[:, rings[0]]))  # type: ignore[index]
     ring = np.concatenate([np.broadcast_to(np.arange(m), x.shape).ravel(), block.extra.column])
     ranges = np.concatenate([block.range_m.ravel(), block.extra.range_m]).astype(np.float64)
-    at = np.concatenate([azimuth.ravel(), azimuth[block.extra.line, block.extra.column]])
+    azimuths = np.concatenate([azimuth.ravel(), azimuth[block.extra.line, block.extra.column]])
     off: list[float] = []
     for number, one in enumerate(rings):
         mine = (ring == one) & np.isfinite(ranges)
@@ -409,7 +420,7 @@ def test_the_samples_of_every_model_have_the_points_of_another_decoder(
         order = np.argsort(ranges[mine])
         low, high = (np.searchsorted(ranges[mine][order], length[its] + by) for by in (-1e-3, 1e-3))
         off += [
-            np.abs((at[mine][order][a:b] - angle + 180) % 360 - 180).min(initial=360.0)
+            np.abs((azimuths[mine][order][a:b] - angle + 180) % 360 - 180).min(initial=360.0)
             for a, b, angle in zip(low, high, turned[its], strict=True)
         ]
     assert float(np.mean(np.array(off) < 1.1 * step)) > 0.99
@@ -449,7 +460,9 @@ def joined(path: Path, **changes: Any) -> ScanBlock:
 def drive(n: int = 300, m: int = 8, seed: int = 5) -> dict[str, np.ndarray]:
     """Shots of a scanner of 8 rings and 200 firings a turn; a fifth did not return."""
     rng = np.random.default_rng(seed)
-    column, ring = (each.ravel() for each in np.meshgrid(np.arange(n), np.arange(m), indexing="ij"))
+    column, ring = (
+        index.ravel() for index in np.meshgrid(np.arange(n), np.arange(m), indexing="ij")
+    )
     range_m = rng.uniform(5, 6, n * m)
     range_m[rng.random(n * m) < 0.2] = np.nan
     order = np.array([0, 4, 1, 5, 2, 6, 3, 7])
@@ -482,7 +495,9 @@ def messages(
         table["ring"] = shots["ring"][use]
         table["intensity"] = shots["column"][use] % 250
         after = shots["time"][use] - first * 5e-4
-        name = next(one for one in ("time", "t", "timestamp") if one in (table.dtype.names or ()))
+        name = next(
+            field for field in ("time", "t", "timestamp") if field in (table.dtype.names or ())
+        )
         table[name] = {"f4": after, "u4": np.rint(after * 1e9), "f8": after + start_ns * 1e-9}[
             table.dtype[name].str[1:]
         ]
@@ -524,14 +539,14 @@ def test_a_cloud_has_the_cells_of_its_packets(real_data: Path, tmp_path: Path, n
     sent = []
     first_s = time_s.min()
     turn = ((time_s - first_s) // 0.1).astype(int)
-    for one in range(turn.max() + 1):
-        use = turn == one
+    for number in range(turn.max() + 1):
+        use = turn == number
         table = np.zeros(np.count_nonzero(use), dtype)
         for axis, key in enumerate("xyz"):
             table[key] = packets.xyz_m[line[use], ring[use], axis]
         table["ring"] = ring[use]
-        table["t"] = np.rint((time_s[use] - first_s - 0.1 * one) * 1e9)
-        start_ns = made.START_NS + one * 100_000_000
+        table["t"] = np.rint((time_s[use] - first_s - 0.1 * number) * 1e9)
+        start_ns = made.START_NS + number * 100_000_000
         sent.append(made.Sent("/points", KIND, start_ns, made.cloud(2, start_ns, table)))
     block = joined(made.write_db3(tmp_path / "a.db3", sent))
     first = int(line.min())

@@ -162,8 +162,8 @@ def test_a_message_that_comes_twice_is_read_once_and_said(tmp_path: Path) -> Non
     shots = drive(600)
     sent = cloud_messages(shots)
     again = cloud_messages(shots)
-    for number, one in enumerate(again):
-        one.message.header.seq = number + 7
+    for number, message in enumerate(again):
+        message.message.header.seq = number + 7
     stream, block = read_cloud(tmp_path, [*sent, *again])
     np.testing.assert_allclose(block.range_m, shots["range"].reshape(600, 8), rtol=1e-5)
     assert stream.info.facts.repeated.startswith("3 of 6 messages")
@@ -215,6 +215,6 @@ def test_the_turning_of_a_sector_is_that_of_the_scanner(width_deg: float) -> Non
     time_s = np.arange(2000) * 5e-5
     azimuth = np.remainder(time_s * 10.0 * 2 * np.pi + np.pi, 2 * np.pi) - np.pi
     use = np.abs(azimuth) < np.deg2rad(width_deg / 2)
-    found = find_turning(np.zeros(np.count_nonzero(use), np.int64), time_s[use], azimuth[use])
-    assert found is not None
-    assert found.per_unit == pytest.approx(10.0, rel=0.01)
+    turning = find_turning(np.zeros(np.count_nonzero(use), np.int64), time_s[use], azimuth[use])
+    assert turning is not None
+    assert turning.per_unit == pytest.approx(10.0, rel=0.01)

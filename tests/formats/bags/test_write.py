@@ -44,13 +44,13 @@ def test_lines_of_a_profiler_come_back_bit_for_bit(tmp_path: Path, suffix: str) 
     simulate("street", bag, settings)
     simulate("street", archive, settings)
     expected = np.load(archive)
-    found = whole(bag)
-    assert np.array_equal(found["range_m"], expected["range_m"], equal_nan=True)
-    assert np.array_equal(found["intensity"], expected["intensity"], equal_nan=True)
-    assert found["time_s"] == pytest.approx(expected["time_s"], abs=2e-8)
-    given = load_config(options={"method": "prc"})
-    classify(bag, tmp_path / "bag.npy", given)
-    classify(archive, tmp_path / "archive.npy", given)
+    arrays = whole(bag)
+    assert np.array_equal(arrays["range_m"], expected["range_m"], equal_nan=True)
+    assert np.array_equal(arrays["intensity"], expected["intensity"], equal_nan=True)
+    assert arrays["time_s"] == pytest.approx(expected["time_s"], abs=2e-8)
+    config = load_config(options={"method": "prc"})
+    classify(bag, tmp_path / "bag.npy", config)
+    classify(archive, tmp_path / "archive.npy", config)
     assert np.array_equal(np.load(tmp_path / "bag.npy"), np.load(tmp_path / "archive.npy"))
     assert (bag.parent / "metadata.yaml").is_file() == (suffix == ".db3")
 
@@ -100,7 +100,7 @@ def test_clouds_have_the_shots_in_the_order_of_their_times(tmp_path: Path) -> No
             codes.append(rows[:, 18:20].copy().view("<u2")[:, 0])
     assert len(times) == 3
     assert (np.diff(np.concatenate(times)) > -1e-7).all()
-    counts = {one.code: one.count for one in made.record.classes}
+    counts = {row.code: row.count for row in made.record.classes}
     assert {int(code): int((np.concatenate(codes) == code).sum()) for code in counts} == counts
     assert counts[7] > 1000, "snow"
 
@@ -112,9 +112,9 @@ def test_staggered_rings_are_put_back_into_their_lines(tmp_path: Path) -> None:
     simulate("street", bag, settings)
     simulate("street", archive, settings)
     expected = np.load(archive)["range_m"]
-    found = whole(bag)["range_m"]
-    assert np.array_equal(np.isnan(found), np.isnan(expected))
-    assert np.nanmax(np.abs(found - expected)) < 1e-4
+    ranges = whole(bag)["range_m"]
+    assert np.array_equal(np.isnan(ranges), np.isnan(expected))
+    assert np.nanmax(np.abs(ranges - expected)) < 1e-4
 
 
 def test_an_archive_of_a_spinning_scanner_is_in_order(tmp_path: Path) -> None:
@@ -123,8 +123,8 @@ def test_an_archive_of_a_spinning_scanner_is_in_order(tmp_path: Path) -> None:
     assert "yes, rings can classify it" in done.output
     convert(tmp_path / "spin.npz", tmp_path / "again.bag", load_config())
     expected = np.load(tmp_path / "spin.npz")["range_m"]
-    found = whole(tmp_path / "again.bag")["range_m"]
-    assert np.count_nonzero(~np.isnan(found)) == np.count_nonzero(~np.isnan(expected))
+    ranges = whole(tmp_path / "again.bag")["range_m"]
+    assert np.count_nonzero(~np.isnan(ranges)) == np.count_nonzero(~np.isnan(expected))
 
 
 def test_what_no_message_can_hold(tmp_path: Path) -> None:
@@ -174,10 +174,10 @@ def test_shots_without_a_time_lie_between_others(tmp_path: Path, suffix: str) ->
     source = with_times(tmp_path, change)
     bag = tmp_path / f"o{suffix}"
     convert(source, bag, load_config(options={"input": {"order": "trust"}}))
-    found = whole(bag)["time_s"]
+    times = whole(bag)["time_s"]
     expected = np.load(source)["time_s"]
     known = np.isfinite(expected)
-    assert found[known] == pytest.approx(expected[known], abs=2e-8)
+    assert times[known] == pytest.approx(expected[known], abs=2e-8)
 
 
 @pytest.mark.parametrize("value", [np.nan, -5.0, 1e12])

@@ -50,13 +50,13 @@ def test_every_form_gives_the_same_values(tmp_path: Path, form: str) -> None:
     source = opened(path)
     assert source.n_records == N
     found = read(source, ("time", "angle", "range", "ring"))
-    for name, own in (
+    for name, expected in (
         ("time", "GPS_time"),
         ("angle", "theta"),
         ("range", "range"),
         ("ring", "ring"),
     ):
-        np.testing.assert_array_equal(found[name], made[own])
+        np.testing.assert_array_equal(found[name], made[expected])
 
 
 def test_other_elements_and_lists_behind_the_points_are_passed_over(tmp_path: Path) -> None:
@@ -229,7 +229,7 @@ def pcd_columns() -> dict[str, Array]:
     xyz = rng.uniform(-20, 20, (N_LINES * M, 3)).astype(np.float32)
     xyz[rng.random(len(xyz)) < 0.2] = np.nan
     return {
-        **{axis: xyz[:, at] for at, axis in enumerate("xyz")},
+        **{axis: xyz[:, index] for index, axis in enumerate("xyz")},
         "intensity": rng.integers(0, 900, len(xyz)).astype(np.uint16),
     }
 
@@ -278,8 +278,8 @@ def test_damaged_lzf_is_told(seed: int) -> None:
     for _ in range(300):
         damaged = bytearray(packed)
         damaged[rng.integers(len(damaged))] = rng.integers(256)
-        found = decode_lzf(memoryview(damaged[: rng.integers(1, len(damaged) + 1)]), 900)
-        assert found is None or len(found) == 900
+        unpacked = decode_lzf(memoryview(damaged[: rng.integers(1, len(damaged) + 1)]), 900)
+        assert unpacked is None or len(unpacked) == 900
 
 
 SUFFIXES = ("ply", "pcd")
@@ -296,7 +296,7 @@ def run(words: list[str]) -> int:
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A simulated drive, as an archive of arrays, with its labels."""
     folder = tmp_path_factory.mktemp("drive")
-    told = [
+    options = [
         "simulate",
         "street",
         str(folder / "s.npz"),
@@ -306,7 +306,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "sick-push-broom",
         "-q",
     ]
-    assert run([*told, "--seed", "5"]) == 0
+    assert run([*options, "--seed", "5"]) == 0
     assert run(
         ["classify", str(folder / "s.npz"), str(folder / "s.npy"), "--preset", "urban", "-q"]
     ) in (0, 4)
@@ -318,7 +318,7 @@ def test_a_drive_read_back_has_the_same_labels(drive: Path, tmp_path: Path, suff
     path = tmp_path / f"s.{suffix}"
     assert run(["convert", str(drive / "s.npz"), str(path), "-q"]) == 0
     first, again = (
-        join(list(open_input(one, InputConfig()).blocks())) for one in (drive / "s.npz", path)
+        join(list(open_input(source, InputConfig()).blocks())) for source in (drive / "s.npz", path)
     )
     np.testing.assert_array_equal(first.range_m, again.range_m)
     assert run(["classify", str(path), str(tmp_path / "l.npy"), "--preset", "urban", "-q"]) in (
@@ -347,15 +347,15 @@ def test_a_cloud_keeps_its_properties(
         "column": column,
         "quality": np.arange(image.size, dtype=np.int16),
     }
-    given = tmp_path / f"g.{suffix}"
+    source = tmp_path / f"g.{suffix}"
     data = (
         ply(made, form, ("a comment",))
         if suffix == "ply"
         else pcd(made, "ascii" if form == "ascii" else "binary")
     )
-    given.write_bytes(data)
+    source.write_bytes(data)
     out = tmp_path / "o.ply"
-    assert run(["classify", str(given), str(out), "--preset", "urban", "-q"]) in (0, 4)
+    assert run(["classify", str(source), str(out), "--preset", "urban", "-q"]) in (0, 4)
     vertex = plyfile.PlyData.read(str(out))
     names = [prop.name for prop in vertex["vertex"].properties]
     assert names == ["range", "quality", "scan_line", "column", "class"]
@@ -378,5 +378,5 @@ def test_bytes_behind_the_points_are_told_unless_the_header_names_them(
     (tmp_path / "a.ply").write_bytes(
         head.encode() + np.array([1.5, 2.5], "<f4").tobytes() + b"\x01\0\0\0\0"
     )
-    told = "5 bytes behind the last point were left out: the header does not name them"
-    assert (told in opened(tmp_path / "a.ply").facts.notes) != has_faces
+    note = "5 bytes behind the last point were left out: the header does not name them"
+    assert (note in opened(tmp_path / "a.ply").facts.notes) != has_faces

@@ -25,10 +25,10 @@ from tests.formats.test_ptx import equal, expected, scans_of
 AUTO = InputConfig()
 
 
-def refused(path: Path, given: InputConfig = AUTO) -> str:
+def refused(path: Path, config: InputConfig = AUTO) -> str:
     """The error of opening and reading, always one line, without the folder."""
     with pytest.raises(PrcError) as caught:
-        scans_of(E57Stream(path, given))
+        scans_of(E57Stream(path, config))
     message = str(caught.value)
     assert "\n" not in message
     return message.replace(f"{path.parent}/", "")
@@ -131,9 +131,9 @@ def test_several_points_of_a_cell_are_returns_of_a_shot(
     assert (block.tally.n_extra_returns, block.tally.n_collisions) == (0, 2)
 
 
-def without(*names: str, **other: Array) -> dict[str, Array]:
+def without(*names: str, **added: Array) -> dict[str, Array]:
     fields = e57_fields(grid_points(3, 3, missing=0))
-    return {**{name: values for name, values in fields.items() if name not in names}, **other}
+    return {**{name: values for name, values in fields.items() if name not in names}, **added}
 
 
 @pytest.mark.parametrize(
@@ -189,12 +189,12 @@ def test_scans_that_are_no_images_are_refused(
 def test_a_file_that_changes_while_it_is_read_is_an_error(tmp_path: Path) -> None:
     path = write_e57(tmp_path / "a.e57", [Scan(e57_fields(grid_points(5, 4, missing=0)))])
     stream = E57Stream(path, AUTO)
-    for other in (
+    for changed in (
         grid_points(5, 9, missing=0),
         grid_points(2, 2, missing=0),
         grid_points(4, 5, missing=0),
     ):
-        write_e57(path, [Scan(e57_fields(other))])
+        write_e57(path, [Scan(e57_fields(changed))])
         with pytest.raises(PrcError):
             scans_of(stream)
 

@@ -170,11 +170,11 @@ def hesai(
         for block in range(n_blocks):
             distance = rng.integers(1000, 1200, channels)
             distance[rng.random(channels) < 0.1] = 0
-            at = head + stride * block
-            packet[at : at + flag] = b"\xff\xee"[:flag]
-            struct.pack_into("<H", packet, at + flag, (i * n_blocks + block) // returns * 20)
-            for k, one in enumerate(distance.tolist()):
-                struct.pack_into("<HB", packet, at + flag + 2 + shot * k, one, k)
+            position = head + stride * block
+            packet[position : position + flag] = b"\xff\xee"[:flag]
+            struct.pack_into("<H", packet, position + flag, (i * n_blocks + block) // returns * 20)
+            for k, millimetres in enumerate(distance.tolist()):
+                struct.pack_into("<HB", packet, position + flag + 2 + shot * k, millimetres, k)
             every.append(distance)
         end = head + stride * n_blocks
         packet[end + mode_at] = mode
@@ -243,14 +243,20 @@ def _column(
 ) -> bytes:
     if profile == "LEGACY":
         head = struct.pack("<QHHI", stamp, number, frame, 0)
-        pixels = [struct.pack("<IHHHH", one, 1, 7, 2, 0) for one in range_mm]
+        pixels = [struct.pack("<IHHHH", millimetres, 1, 7, 2, 0) for millimetres in range_mm]
         return head + b"".join(pixels) + struct.pack("<I", 0xFFFFFFFF if is_good else 0)
     head = struct.pack("<QHH", stamp, number, int(is_good))
     if profile == "RNG19_RFL8_SIG16_NIR16":
-        return head + b"".join(struct.pack("<IBBHHH", one, 1, 0, 7, 2, 0) for one in range_mm)
+        return head + b"".join(
+            struct.pack("<IBBHHH", millimetres, 1, 0, 7, 2, 0) for millimetres in range_mm
+        )
     if profile == "RNG15_RFL8_NIR8":
-        return head + b"".join(struct.pack("<HBB", one // 8, 7, 1) for one in range_mm)
+        return head + b"".join(
+            struct.pack("<HBB", millimetres // 8, 7, 1) for millimetres in range_mm
+        )
     return head + b"".join(
-        struct.pack("<IIHHHH", one | 1 << 24, (one + 500) * (row % 2) | 1 << 24, 7, 9, 3, 0)
-        for row, one in enumerate(range_mm)
+        struct.pack(
+            "<IIHHHH", millimetres | 1 << 24, (millimetres + 500) * (row % 2) | 1 << 24, 7, 9, 3, 0
+        )
+        for row, millimetres in enumerate(range_mm)
     )

@@ -39,42 +39,42 @@ def test_captures_of_every_kind_are_the_same(tmp_path: Path) -> None:
     packets = made.vlp16()
     frames = made.framed(packets)
     _, plain = read(made.write_pcap(tmp_path / "a.pcap", frames))
-    _, other = read(made.write_pcap(tmp_path / "b.pcap", frames, order=">"))
-    same(plain, other)
-    _, other = read(made.write_pcap(tmp_path / "c.pcap", frames, nano=True))
-    same(plain, other, times=False)
+    _, again = read(made.write_pcap(tmp_path / "b.pcap", frames, order=">"))
+    same(plain, again)
+    _, again = read(made.write_pcap(tmp_path / "c.pcap", frames, nano=True))
+    same(plain, again, times=False)
     for order in "<>":
-        _, other = read(made.write_pcapng(tmp_path / "d.pcapng", frames, order=order))
-        same(plain, other, times=False)
+        _, again = read(made.write_pcapng(tmp_path / "d.pcapng", frames, order=order))
+        same(plain, again, times=False)
     tagged = [
-        (at, made.ethernet(made.ip4(made.udp(one)), vlan=True))
-        for (at, _), one in zip(frames, packets, strict=True)
+        (time_s, made.ethernet(made.ip4(made.udp(packet)), vlan=True))
+        for (time_s, _), packet in zip(frames, packets, strict=True)
     ]
-    _, other = read(made.write_pcap(tmp_path / "e.pcap", tagged))
-    same(plain, other)
+    _, again = read(made.write_pcap(tmp_path / "e.pcap", tagged))
+    same(plain, again)
     six = [
-        (at, made.ethernet(made.ip6(made.udp(one))))
-        for (at, _), one in zip(frames, packets, strict=True)
+        (time_s, made.ethernet(made.ip6(made.udp(packet))))
+        for (time_s, _), packet in zip(frames, packets, strict=True)
     ]
-    _, other = read(made.write_pcap(tmp_path / "f.pcap", six))
-    same(plain, other)
+    _, again = read(made.write_pcap(tmp_path / "f.pcap", six))
+    same(plain, again)
 
 
 def test_fragments_are_put_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     packets = made.vlp16()
     _, plain = read(made.write_pcap(tmp_path / "a.pcap", made.framed(packets)))
     frames = []
-    for i, (at, _) in enumerate(made.framed(packets)):
+    for i, (time_s, _) in enumerate(made.framed(packets)):
         body = made.udp(packets[i])
         parts = [(0, body[:480]), (480, body[480:960]), (960, body[960:])]
         if i % 2:
             parts.reverse()
         frames += [
-            (at, made.ethernet(made.ip4(part, offset=offset, more=offset < 960, number=i)))
+            (time_s, made.ethernet(made.ip4(part, offset=offset, more=offset < 960, number=i)))
             for offset, part in parts
         ]
-    _, other = read(made.write_pcap(tmp_path / "b.pcap", frames))
-    same(plain, other)
+    _, again = read(made.write_pcap(tmp_path / "b.pcap", frames))
+    same(plain, again)
     stream, short = read(made.write_pcap(tmp_path / "c.pcap", frames[:-1]))
     assert short.n_lines == 19 * 24
     assert stream.info.facts.notes == ("1 datagrams lack a fragment: left out",)
@@ -82,9 +82,11 @@ def test_fragments_are_put_together(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("prc_cli.formats.packets.capture.MAX_PENDING", len(packets))
     same(
         plain,
-        read(made.write_pcap(tmp_path / "d.pcap", [one for k in range(3) for one in frames[k::3]]))[
-            1
-        ],
+        read(
+            made.write_pcap(
+                tmp_path / "d.pcap", [frame for k in range(3) for frame in frames[k::3]]
+            )
+        )[1],
     )
 
 
@@ -141,8 +143,8 @@ def test_ouster_columns_are_destaggered_in_angle_not_in_time(tmp_path: Path, pro
         column = np.arange(240)
         wanted = 1000 * (column // 120 + 1) + column % 120 + 200 * row
         wanted = wanted // 8 * 8 if profile == "RNG15_RFL8_NIR8" else wanted
-        found = block.range_m[shift : shift + 240, ring]
-        np.testing.assert_allclose(found, wanted * 1e-3, rtol=1e-6)
+        ranges = block.range_m[shift : shift + 240, ring]
+        np.testing.assert_allclose(ranges, wanted * 1e-3, rtol=1e-6)
         np.testing.assert_allclose(
             block.time_s[shift : shift + 240, ring], column * 1e-3, atol=1e-9
         )
@@ -208,9 +210,9 @@ def test_what_cannot_be_read_is_said_in_one_line(tmp_path: Path) -> None:
             r"three returns a shot \(mode 0x3d\), expected one or two",
         ),
     ):
-        other = made.write_pcap(tmp_path / "b.pcap", made.framed(packets))
+        second = made.write_pcap(tmp_path / "b.pcap", made.framed(packets))
         with pytest.raises(InputError, match=expected):
-            PacketStream(other, InputConfig())
+            PacketStream(second, InputConfig())
     mixed = made.write_pcap(
         tmp_path / "c.pcap", made.framed(made.vlp16(5) + made.vlp16(5, mode=0x38))
     )
@@ -219,7 +221,7 @@ def test_what_cannot_be_read_is_said_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "d.pcap").write_bytes(b"no capture")
     with pytest.raises(InputError, match="begins with 6e6f2063, expected a capture"):
         PacketStream(tmp_path / "d.pcap", InputConfig())
-    (tmp_path / "e.pcap").write_bytes(other.read_bytes()[:24] + b"\xff" * 100)
+    (tmp_path / "e.pcap").write_bytes(second.read_bytes()[:24] + b"\xff" * 100)
     with pytest.raises(
         InputError, match="found a packet of 4294967295 bytes, expected at most 262144"
     ):
@@ -287,7 +289,9 @@ def test_every_hesai_has_the_distances_of_its_packets(tmp_path: Path, name: str,
     packets, units = made.hesai(name, 40, mode=mode, column_us=COLUMNS_US.get(name, 50.0))
     path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets))
     stream, block = read(path, **{"return": "last"})
-    assert f"Hesai {name} at" in " ".join(one.value + one.why for one in stream.info.assumptions)
+    assert f"Hesai {name} at" in " ".join(
+        assumption.value + assumption.why for assumption in stream.info.assumptions
+    )
     table = json.loads((Path(columns_module.__file__).parent / "hesai.json").read_text())[name]
     order = np.argsort(table["elevation_deg"], kind="stable")
     metres = np.where(units < 4, np.nan, units * 0.004)[:, order]
@@ -300,9 +304,9 @@ def test_every_hesai_has_the_distances_of_its_packets(tmp_path: Path, name: str,
             block.range_m[by : by + len(wanted), ring], wanted[:, ring], rtol=1e-6
         )
     assert block.xyz_m is not None
-    found = np.rad2deg(np.arcsin(block.xyz_m[..., 2] / block.range_m))
+    elevation_deg = np.rad2deg(np.arcsin(block.xyz_m[..., 2] / block.range_m))
     np.testing.assert_allclose(
-        np.nanmedian(found, axis=0), np.array(table["elevation_deg"])[order], atol=1e-3
+        np.nanmedian(elevation_deg, axis=0), np.array(table["elevation_deg"])[order], atol=1e-3
     )
 
 
@@ -366,14 +370,14 @@ def test_the_ouster_sample_is_decoded_cell_by_cell(real_data: Path, tmp_path: Pa
     path = real_data / "pcap" / "OS-1-128_v2.3.0_1024x10_lb_n3.pcap"
     table = json.loads(path.with_suffix(".json").read_text())
     data = path.read_bytes()
-    at = 24
+    position = 24
     image = np.zeros((3, 128, 1024), np.int64)
     stamp = np.zeros((3, 1024), np.int64)
     first = None
-    while at < len(data):
-        kept = struct.unpack_from("<I", data, at + 8)[0]
-        payload = data[at + 16 + 42 : at + 16 + kept]
-        at += 16 + kept
+    while position < len(data):
+        kept = struct.unpack_from("<I", data, position + 8)[0]
+        payload = data[position + 16 + 42 : position + 16 + kept]
+        position += 16 + kept
         if len(payload) != 8448:
             continue
         frame = struct.unpack_from("<H", payload, 2)[0]
