@@ -358,7 +358,7 @@ class E57Stream:
         lacking = [name for name in (ROW, COLUMN) if name not in table.fields]
         if lacking:
             names = " and no ".join(lacking)
-            problem = f"no {names}: the points have no rows and columns, found {shown}"
+            problem = f"no {names}: the points are not organised in rows and columns, found {shown}"
             hint = "export it as a structured (gridded) E57 or PTX, with row and column"
             raise InputError(where, problem, hint)
         if not any(set(names) <= set(table.fields) for names in (CARTESIAN, SPHERICAL)):

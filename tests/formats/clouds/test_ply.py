@@ -99,7 +99,7 @@ def test_returns_that_are_listed_again_are_not_shots(tmp_path: Path) -> None:
     source = opened(path)
     n_copies = int(np.sum(n_echo == 2) + 3 * np.sum(n_echo == 3))
     assert any(
-        note.startswith(f"{n_copies} of the first {len(time)} rows repeat a return")
+        note.startswith(f"{n_copies} of the first {len(time)} rows repeat an earlier return")
         for note in source.facts.notes
     )
     block = join(list(open_input(path, InputConfig()).blocks()))

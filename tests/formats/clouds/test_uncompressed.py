@@ -25,6 +25,6 @@ def test_points_that_are_not_compressed_are_named(tmp_path: Path) -> None:
         + body
     )
     (tmp_path / "a.pcd").write_bytes(packed)
-    with pytest.raises(InputError, match="as long as without") as caught:
+    with pytest.raises(InputError, match="the points are not compressed") as caught:
         open_pcd(tmp_path / "a.pcd")
     assert "save it again as binary" in caught.value.hint
