@@ -14,7 +14,7 @@ from prc_cli.formats.ranges import KEY
 from prc_cli.methods.rings.pipeline import is_fan
 from prc_cli.streams.agreement import ANGLES, CONTRADICTED, MOST_OFF
 from prc_cli.streams.evidence.cones import check_cones
-from prc_cli.streams.evidence.figures import Figures, Seen, figures_of, most_turned, without_lonely
+from prc_cli.streams.evidence.figures import Seen, figures_of, most_turned, without_lonely
 from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
 from prc_cli.streams.evidence.line_limits import LEAST_LINES
 from prc_cli.streams.evidence.lines import (
@@ -337,7 +337,9 @@ def check_ranges(seen: Seen) -> Finding | None:
         "header bytes), and --range with its coordinate system"
     )
     option = ""
-    is_far_off = median > HIGH_M and _is_narrow(known)
+    low, high = np.percentile(known, [5, 95])
+    # a place that is seen from far away has about one range
+    is_far_off = median > HIGH_M and bool(high < NARROW * low)
     if is_far_off:
         hint = (
             "x, y, z seem to be in another frame than that of the scanner: "
@@ -361,12 +363,6 @@ def check_ranges(seen: Seen) -> Finding | None:
         hint,
         option,
     )
-
-
-def _is_narrow(known: F32) -> bool:
-    """Whether all ranges are about the same, as those of a place seen from far off are."""
-    low, high = np.percentile(known, [5, 95])
-    return bool(high < NARROW * low)
 
 
 BY_PLACE = ("units", "down", "angle-step")
@@ -409,7 +405,8 @@ def _findings_of_ranges(seen: Seen) -> Iterator[Finding | None]:
     figures = raw = figures_of(seen.windows)
     if _is_not_fine(check_shot_order(figures)) or _is_not_fine(check_line_order(seen, figures)):
         # flakes, drops and fog are like none of the shots around
-        figures = _in_clear_air(seen, figures)
+        clear = without_lonely(seen.windows)
+        figures = figures if clear is None else figures_of(clear)
     yield (order := check_shot_order(figures))
     if _is_against(order):
         return
@@ -435,12 +432,6 @@ def _findings_of_ranges(seen: Seen) -> Iterator[Finding | None]:
         yield check_coordinates(seen)
         yield check_down(seen)
         yield check_angle_step(seen)
-
-
-def _in_clear_air(seen: Seen, figures: Figures) -> Figures:
-    """Return figures without shots that are like none around, where these are the smaller part."""
-    windows = without_lonely(seen.windows)
-    return figures if windows is None else figures_of(windows)
 
 
 def check_few_rings(seen: Seen) -> Finding | None:

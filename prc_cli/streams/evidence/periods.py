@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prc_cli.core.types import F32, F64, I64
+from prc_cli.core.types import F32, F64
 from prc_cli.streams.columns import StampState, spread_stamps
 from prc_cli.streams.down import wrap
 
@@ -133,7 +133,8 @@ def _fundamental(correlation: F64) -> int:
     """
     dip = np.minimum.accumulate(correlation)
     rise = correlation - dip
-    peaks = _peaks(correlation)
+    inner = correlation[1:-1]
+    peaks = np.flatnonzero((inner >= correlation[:-2]) & (inner > correlation[2:])) + 1
     if not len(peaks):
         return 0
     highest = rise[peaks].max()
@@ -142,11 +143,6 @@ def _fundamental(correlation: F64) -> int:
     fallen = np.flatnonzero(rise[first:] < 0.7 * highest)
     end = first + int(fallen[0]) if len(fallen) else len(correlation)
     return first + int(np.argmax(correlation[first:end]))
-
-
-def _peaks(correlation: F64) -> I64:
-    inner = correlation[1:-1]
-    return np.flatnonzero((inner >= correlation[:-2]) & (inner > correlation[2:])) + 1
 
 
 def _comb(correlation: F64, period: int) -> float:

@@ -182,12 +182,16 @@ class ResultWatch:
         Too few labels give no finding.
         """
         scanners = sorted(self._scanners.items())
-        return tuple(worst_of({scanner: self._fitted(kept.sample()) for scanner, kept in scanners}))
-
-    def _fitted(self, sample: _Sample) -> Iterator[Finding]:
-        without_angles = frozenset() if sample.angle_rad is not None else frozenset(("nadir",))
-        for finding in check_labels(sample, self.usual):
-            yield fitting_finding(finding, self.facts.refuses | without_angles, self.facts.remedy)
+        by_scanner: dict[int, list[Finding]] = {}
+        for scanner, kept in scanners:
+            sample = kept.sample()
+            without_angles = frozenset() if sample.angle_rad is not None else frozenset(("nadir",))
+            refuses = self.facts.refuses | without_angles
+            by_scanner[scanner] = [
+                fitting_finding(finding, refuses, self.facts.remedy)
+                for finding in check_labels(sample, self.usual)
+            ]
+        return tuple(worst_of(by_scanner))
 
 
 def check_labels(sample: _Sample, usual: UsualLabels) -> Iterator[Finding]:
