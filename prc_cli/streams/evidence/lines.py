@@ -266,7 +266,7 @@ def _alternating(seen: Seen, figures: Figures, step: int) -> Finding:
     measured = f"a line is like the {ordinal} line after it, not the next"
     m = seen.points_per_line
     hint, option = _remedy(seen, m * step)
-    hint = f"if lines are longer: {hint}; if there are several scanners: --scanner DIMENSION"
+    hint = f"{hint} if lines are longer, or split several scanners with --scanner"
     expected = f"lines of M = {m} shots that are alike"
     return Finding("line-length", Verdict.AGAINST, measured, expected, hint, option)
 
