@@ -134,6 +134,8 @@ def inlined(function: FunctionT) -> FunctionT:
 
 SOURCES = ("classes.py", "types.py")
 """What of ``core`` the loops use."""
+BESIDE = ("thresholds.py", "records.py")
+"""What of their own folder they use."""
 
 
 @cache
@@ -152,7 +154,8 @@ def _surroundings() -> tuple[str, ...]:
 
 def loops_folder(folder: Path, source: Path) -> Path:
     """Return the folder of a module's compiled loops, another one for all that they are made of."""
-    files = [path for path in (source, source.with_name("thresholds.py")) if path.exists()]
+    beside = (source.with_name(name) for name in BESIDE)
+    files = [path for path in (source, *beside) if path.exists()]
     known = (
         _surroundings(),
         str(source),

@@ -17,12 +17,22 @@ from prc_cli.methods.fused import ground_loops as fused_ground
 from prc_cli.methods.fused import neighbours_loops as fused_neighbours
 from prc_cli.methods.fused import strips_loops as fused_strips
 from prc_cli.methods.fused.confidence import MEASURES
+from prc_cli.methods.fused.records import (
+    Beams,
+    FilledSlots,
+    Neighbours,
+    Sides,
+    StripSums,
+    WalkMemory,
+    Walls,
+)
 from prc_cli.methods.fused.thresholds import (
     AgainThresholds,
     ChordThresholds,
     ColumnThresholds,
     CurbThresholds,
     DecisionThresholds,
+    DepthThresholds,
     FanThresholds,
     FlankThresholds,
     NearThresholds,
@@ -93,13 +103,12 @@ class Street:
         return np.ascontiguousarray(self.window[INNER:-INNER])
 
     @property
-    def seen(self) -> tuple[F32, F32, F32, np.float32]:
-        """What neighbours are counted by."""
+    def window_and_beams(self) -> tuple[F32, F32, F32, np.float32]:
         return self.window, self.sine, self.cosine, self.step
 
     @property
-    def beams(self) -> tuple[F32, F32]:
-        return self.sine, self.cosine
+    def beams(self) -> Beams:
+        return Beams(self.sine, self.cosine)
 
     def points(self) -> tuple[F32, F32]:
         side, height = fused_neighbours.plane_points(self.range_m, self.sine, self.cosine)
@@ -147,12 +156,12 @@ def street(rng: Generator) -> Street:
 
 
 def points_case(rng: Generator) -> tuple[Any, ...]:
-    one = street(rng)
-    return one.window, one.sine, one.cosine
+    scene = street(rng)
+    return scene.window, scene.sine, scene.cosine
 
 
 def near_case(rng: Generator) -> tuple[Any, ...]:
-    one = street(rng)
+    scene = street(rng)
     chosen = typed(
         NearThresholds,
         near_m=rng.choice([0.4, 0.125, 2.0]),
@@ -161,11 +170,11 @@ def near_case(rng: Generator) -> tuple[Any, ...]:
         along_m=1.0,
         along_steps=rng.choice([0.0, 8.0]),
     )
-    return *one.seen, chosen
+    return *scene.window_and_beams, chosen
 
 
 def smooth_case(rng: Generator) -> tuple[Any, ...]:
-    one = street(rng)
+    scene = street(rng)
     chosen = typed(
         SmoothThresholds,
         tolerance_m=rng.choice([0.0, 0.006, 0.2]),
@@ -174,14 +183,14 @@ def smooth_case(rng: Generator) -> tuple[Any, ...]:
         apart_m=rng.choice([0.0, 0.5, 1.0, 3.0]),
         leaf_m=rng.choice([0.0, 1.0, 4.0]),
     )
-    return *one.seen, chosen
+    return *scene.window_and_beams, chosen
 
 
 def repeats_case(rng: Generator) -> tuple[Any, ...]:
-    one = street(rng)
-    lines = one.window
+    scene = street(rng)
+    lines = scene.window
     stride = int(rng.integers(1, 20))
-    shape = (int(rng.integers(17, 30)), one.window.shape[1])
+    shape = (int(rng.integers(17, 30)), scene.window.shape[1])
     # the same leaves in several lines, some of them lost
     leaves = np.float32(5) + rng.integers(0, 20, (shape[0] // stride + 1, shape[1])).astype(
         np.float32
@@ -200,22 +209,22 @@ def repeats_case(rng: Generator) -> tuple[Any, ...]:
     return np.ascontiguousarray(range_m, np.float32), int(rng.integers(0, 4)), chosen
 
 
-def random_counts(rng: Generator, one: Street) -> tuple[U8, U8, U8, U8]:
+def random_counts(rng: Generator, scene: Street) -> Neighbours:
     """Counts as neighbours have them, or any."""
-    shape = one.range_m.shape
+    shape = scene.range_m.shape
     if rng.random() < 0.5:
         near, smooth, upright, level = (
             rng.integers(0, n, shape).astype(np.uint8) for n in (29, 11, 4, 4)
         )
         for counts in (near, smooth, upright, level):
-            counts[np.isnan(one.range_m)] = 0
-        return near, smooth, upright, level
+            counts[np.isnan(scene.range_m)] = 0
+        return Neighbours(near, smooth, upright, level)
     near = fused_neighbours.near_counts(
-        *one.seen,
+        *scene.window_and_beams,
         typed(NearThresholds, near_m=0.4, near_steps=3, thin_m=0.1, along_m=1, along_steps=8),
     )
     smooth = fused_neighbours.smooth_counts(
-        *one.seen,
+        *scene.window_and_beams,
         typed(
             SmoothThresholds,
             tolerance_m=0.006,
@@ -226,12 +235,12 @@ def random_counts(rng: Generator, one: Street) -> tuple[U8, U8, U8, U8]:
         ),
     )
     usual = typed(ChordThresholds, chord_m=0.15, slope=0.35, slack_m=0.02, longest_m=2)
-    chords = fused_neighbours.directions(one.range_m, smooth, *one.beams, one.step, usual)
-    return near, smooth, *chords
+    chords = fused_neighbours.directions(scene.range_m, smooth, *scene.beams, scene.step, usual)
+    return Neighbours(near, smooth, *chords)
 
 
 def directions_case(rng: Generator) -> tuple[Any, ...]:
-    one = street(rng)
+    scene = street(rng)
     chosen = typed(
         ChordThresholds,
         chord_m=rng.choice([0.15, 2.0, 20.0]),
@@ -239,11 +248,11 @@ def directions_case(rng: Generator) -> tuple[Any, ...]:
         slack_m=rng.choice([0.02, 0.0]),
         longest_m=5.0,
     )
-    return one.range_m, random_counts(rng, one)[1], *one.beams, one.step, chosen
+    return scene.range_m, random_counts(rng, scene)[1], *scene.beams, scene.step, chosen
 
 
 def walk_case(rng: Generator) -> tuple[Any, ...]:
-    one = street(rng)
+    scene = street(rng)
     # ledges and roofs that were taken for the ground lie above it
     memory = rng.normal(rng.choice([-2.0, -1.0]), 0.2, (2, fused_ground.BINS)).astype(np.float32)
     age = rng.choice([0, 3, 60, 1000], (2, fused_ground.BINS)).astype(np.int32)
@@ -261,19 +270,19 @@ def walk_case(rng: Generator) -> tuple[Any, ...]:
         follow=0.4,
         start_reach_m=rng.choice([0.0, 1.0, 10.0]),
     )
-    keep = int(rng.integers(0, len(one.range_m) + 1))
+    keep = int(rng.integers(0, len(scene.range_m) + 1))
     start = np.float32(rng.choice([-2.0, 0.0]))
     lost = int(rng.choice([-1, 0, 5, fused_ground.LOST_LINES - 2]))
     shots = np.zeros((2, fused_ground.DEPTHS), np.float32)
     if lost not in (0, -1):
         shots[:, 12:26] = np.sort(rng.integers(0, 9, (2, 14)), axis=0)
     sums = (shots * np.float32(-1.9)).astype(np.float32)
-    sides = one.left, one.right
-    known = memory, age, shots, sums
+    sides = Sides(scene.left, scene.right)
+    known = WalkMemory(memory, age, shots, sums)
     return (
-        one.range_m,
-        one.beams,
-        random_counts(rng, one),
+        scene.range_m,
+        scene.beams,
+        random_counts(rng, scene),
         sides,
         known,
         start,
@@ -284,26 +293,24 @@ def walk_case(rng: Generator) -> tuple[Any, ...]:
     )
 
 
-def heights(rng: Generator, one: Street) -> F32:
+def heights(rng: Generator, scene: Street) -> F32:
     """Heights above ground that is level, or where it may be."""
-    above: F32 = (one.points()[1] + rng.choice([2.0, 1.5, 5.0])).astype(np.float32)
+    above: F32 = (scene.points()[1] + rng.choice([2.0, 1.5, 5.0])).astype(np.float32)
     return above
 
 
 def kinds(rng: Generator, shape: tuple[int, ...]) -> U8:
     """Things that stand alone, of any kind, in runs along the lines."""
     wide = (shape[0], -(-shape[1] // 8))
-    found = np.where(rng.random(wide) < rng.choice([0.0, 0.6]), rng.integers(0, 7, wide), 0).astype(
-        np.uint8
-    )
-    return np.where(rng.random(shape) < 0.1, 0, found.repeat(8, axis=1)[:, : shape[1]]).astype(
-        np.uint8
-    )
+    is_thing = rng.random(wide) < rng.choice([0.0, 0.6])
+    of_runs = np.where(is_thing, rng.integers(0, 7, wide), 0).astype(np.uint8)
+    of_shots = of_runs.repeat(8, axis=1)[:, : shape[1]]
+    return np.where(rng.random(shape) < 0.1, 0, of_shots).astype(np.uint8)
 
 
 def strips_case(rng: Generator) -> tuple[Any, ...]:
-    one = street(rng)
-    above = heights(rng, one)
+    scene = street(rng)
+    above = heights(rng, scene)
     smooth = rng.choice([3, 0])
     level = rng.choice([6, 2, 0])
     chosen = typed(
@@ -317,7 +324,7 @@ def strips_case(rng: Generator) -> tuple[Any, ...]:
         jump_m=rng.choice([1.0, 9.0]),
     )
     columns = kinds(rng, above.shape)
-    return one.range_m, above, random_counts(rng, one), columns, one.beams, one.step, chosen
+    return scene.range_m, above, random_counts(rng, scene), columns, scene.beams, scene.step, chosen
 
 
 def columns_case(rng: Generator) -> tuple[Any, ...]:
@@ -331,25 +338,27 @@ def columns_case(rng: Generator) -> tuple[Any, ...]:
         (n_lines + 2 * around, m)
     )
     for _ in range(int(rng.integers(1, 4))):
-        first, wide, at = (
-            int(rng.integers(low, high)) for low, high in ((0, len(window)), (1, 9), (0, m - 12))
-        )
+        first = int(rng.integers(0, len(window)))
+        wide = int(rng.integers(1, 9))
+        column = int(rng.integers(0, m - 12))
         lines = np.arange(first, min(first + wide, len(window)))
         off = (lines - first - (wide - 1) / 2) / (wide / 2)
         bulge = rng.choice([0.0, 0.1, 0.2, 0.9]) * (1 - np.sqrt(1 - off**2))
-        window[lines, at : at + int(rng.integers(4, 30))] = (rng.choice([3.0, 7.0, 8.4]) + bulge)[
-            :, None
-        ]
+        window[lines, column : column + int(rng.integers(4, 30))] = (
+            rng.choice([3.0, 7.0, 8.4]) + bulge
+        )[:, None]
     window[rng.random(window.shape) < rng.choice([0.0, 0.01, 0.1])] = rng.choice(
         [np.nan, 2.0, 30.0]
     )
     window = (window / np.sin(beam)).astype(np.float32)
-    beams = np.sin(beam).astype(np.float32), np.cos(beam).astype(np.float32)
+    beams = Beams(np.sin(beam).astype(np.float32), np.cos(beam).astype(np.float32))
     above = (np.float32(2) - window[around : len(window) - around] * beams[1]).astype(np.float32)
     odd = rng.random(above.shape) < rng.choice([0.0, 0.02, 0.2])
-    counts = tuple(
-        np.where(odd, one, other).astype(np.uint8)
-        for one, other in ((1, 9), (2, 7), (0, 3), (0, 0))
+    counts = Neighbours(
+        np.where(odd, 1, 9).astype(np.uint8),
+        np.where(odd, 2, 7).astype(np.uint8),
+        np.where(odd, 0, 3).astype(np.uint8),
+        np.zeros(odd.shape, np.uint8),
     )
     chosen = typed(
         ColumnThresholds,
@@ -387,18 +396,18 @@ def levels_case(rng: Generator) -> tuple[Any, ...]:
 
 def walls_case(rng: Generator) -> tuple[Any, ...]:
     if rng.random() < 0.5:
-        sums = fused_strips.fill_strips(*strips_case(rng))[2:6]
+        sums = fused_strips.fill_strips(*strips_case(rng))[1]
     else:
         shape = int(rng.integers(5, 8)), fused_strips.STRIPS
-        there = rng.random(shape) < rng.choice([0.0, 0.01, 0.1])
-        length = np.where(there, rng.random(shape) * 4, 0).astype(np.float32)
+        is_filled = rng.random(shape) < rng.choice([0.0, 0.01, 0.1])
+        length = np.where(is_filled, rng.random(shape) * 4, 0).astype(np.float32)
         wall = np.where(rng.random(shape) < 0.7, length, 0).astype(np.float32)
         middle = (np.arange(shape[1]) - shape[1] // 2 + np.float32(0.5)) * np.float32(0.5)
         top = np.where(wall > 0, rng.random(shape) * 9, fused_strips.NO_TOP).astype(np.float32)
-        sums = length, wall, (wall * middle).astype(np.float32), top
-    flanks = (rng.random((len(sums[0]) - 4, fused_strips.STRIPS)) < rng.choice([0.0, 0.3])).astype(
-        np.uint8
-    )
+        sums = StripSums(length, wall, (wall * middle).astype(np.float32), top)
+    flanks = (
+        rng.random((len(sums.length_m) - 4, fused_strips.STRIPS)) < rng.choice([0.0, 0.3])
+    ).astype(np.uint8)
     chosen = typed(
         WallThresholds,
         height_m=rng.choice([0.01, 0.5, 1.5]),
@@ -410,9 +419,9 @@ def walls_case(rng: Generator) -> tuple[Any, ...]:
 
 
 def flanks_case(rng: Generator) -> tuple[Any, ...]:
-    one = street(rng)
-    above = heights(rng, one)
-    counts = random_counts(rng, one)
+    scene = street(rng)
+    above = heights(rng, scene)
+    counts = random_counts(rng, scene)
     if rng.random() < 0.5:
         above[(rng.random(above.shape) < 0.5) & ~np.isnan(above)] = 0
     shape = len(above), fused_strips.STRIPS
@@ -441,11 +450,11 @@ def flanks_case(rng: Generator) -> tuple[Any, ...]:
     )
     length = wall * rng.choice([1.0, 2.0, 3.0], shape).astype(np.float32)
     return (
-        one.range_m,
+        scene.range_m,
         above,
         counts[2],
-        one.beams,
-        (length, wall, wall * middle),
+        scene.beams,
+        StripSums(length, wall, wall * middle, np.zeros(shape, np.float32)),
         every,
         levels,
         chosen,
@@ -453,13 +462,16 @@ def flanks_case(rng: Generator) -> tuple[Any, ...]:
 
 
 def texture_case(rng: Generator) -> tuple[Any, ...]:
-    one = street(rng)
-    near, smooth = random_counts(rng, one)[:2]
+    scene = street(rng)
+    near, smooth = random_counts(rng, scene)[:2]
     half = np.float32(rng.choice([0.35, 5.0, 0.0]))
-    limits = tuple(
-        np.float32(rng.choice(some)) for some in ([0.0, 0.4, 2.0], [0.2, 1.0, 1e9], [0, 2])
+    chosen = typed(
+        DepthThresholds,
+        share=rng.choice([0.0, 0.4, 2.0]),
+        depth_m=rng.choice([0.2, 1.0, 1e9]),
+        pairs=rng.choice([0, 2]),
     )
-    return one.range_m, near, smooth, one.step, np.float32(rng.choice([0, 3])), half, limits
+    return scene.range_m, near, smooth, scene.step, np.float32(rng.choice([0, 3])), half, chosen
 
 
 def decision(rng: Generator) -> DecisionThresholds:
@@ -494,21 +506,21 @@ def box_case(rng: Generator) -> tuple[Any, ...]:
     window[first : first + int(rng.integers(1, 9))] = box
     window[rng.random(window.shape) < rng.choice([0.0, 0.02])] = rng.choice([1.5, 8.0, np.nan])
     window = window.astype(np.float32)
-    own = window[THIN - INNER : INNER - THIN]
+    ranges = window[THIN - INNER : INNER - THIN]
     shape = (n_lines + 2 * INNER, m)
     sines = sine.astype(np.float32)
     cosines = cosine.astype(np.float32)
-    above = (np.float32(2) - own * cosines).astype(np.float32)
+    above = (np.float32(2) - ranges * cosines).astype(np.float32)
     level = is_lid | (np.abs(above) < 0.1)
     odd = rng.random(shape) < rng.choice([0.0, 0.1])
-    counts = (
+    counts = Neighbours(
         np.where(odd, 2, 20).astype(np.uint8),
         np.where(odd, 1, 9).astype(np.uint8),
         np.where(level, 0, 3).astype(np.uint8),
         np.where(level, 3, 0).astype(np.uint8),
     )
     strips = np.zeros((n_lines, fused_strips.STRIPS), np.uint64)
-    walls = np.zeros((3, n_lines, fused_strips.STRIPS), np.float32)
+    no_wall = np.zeros((n_lines, fused_strips.STRIPS), np.float32)
     usual = DecisionThresholds._make(np.float32(value) for value in USUAL)
     chosen = usual._replace(
         far_m=np.float32(rng.choice([0.5, 1.0])),
@@ -521,11 +533,11 @@ def box_case(rng: Generator) -> tuple[Any, ...]:
         counts,
         np.zeros(shape, np.bool_),
         np.ones((n_lines, m), np.float32),
-        (strips, strips),
-        tuple(walls),
+        FilledSlots(strips, strips),
+        Walls(no_wall, no_wall, no_wall),
         np.zeros((n_lines, 2 * fused_strips.STRIPS), np.uint8),
         np.zeros((n_lines, m), np.uint8),
-        (sines, cosines),
+        Beams(sines, cosines),
         np.float32(0.0076),
         chosen,
     )
@@ -534,19 +546,19 @@ def box_case(rng: Generator) -> tuple[Any, ...]:
 def labels_case(rng: Generator) -> tuple[Any, ...]:
     if rng.random() < 0.3:
         return box_case(rng)
-    one = street(rng)
-    counts = random_counts(rng, one)
-    above = heights(rng, one)
-    m = one.range_m.shape[1]
-    n_lines = len(one.range_m) - 2 * INNER
+    scene = street(rng)
+    counts = random_counts(rng, scene)
+    above = heights(rng, scene)
+    m = scene.range_m.shape[1]
+    n_lines = len(scene.range_m) - 2 * INNER
     walked: Mask = (rng.random(above.shape) < 0.2) & ~np.isnan(above)
-    every, rough, length, wall, place, top, levels = fused_strips.fill_strips(
-        one.range_m,
+    slots, sums, levels = fused_strips.fill_strips(
+        scene.range_m,
         above,
         counts,
         alone := kinds(rng, above.shape),
-        one.beams,
-        one.step,
+        scene.beams,
+        scene.step,
         typed(
             StripThresholds,
             least_near=3,
@@ -558,9 +570,11 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
             jump_m=1,
         ),
     )
-    wide = fused_strips.widen_slots(every), fused_strips.widen_slots(rough)
+    wide = FilledSlots(
+        fused_strips.widen_slots(slots.by_any), fused_strips.widen_slots(slots.by_rough)
+    )
     walls = fused_strips.find_walls(
-        (length, wall, place, top),
+        sums,
         np.zeros((n_lines, fused_strips.STRIPS), np.uint8),
         typed(
             WallThresholds,
@@ -571,10 +585,10 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
         ),
     )
     texture = rng.choice([0.0, 0.1, 0.3, 0.5, 1.0], (n_lines, m)).astype(np.float32)
-    more = rng.integers(0, len(one.window), (2, THIN - AROUND))
+    more = rng.integers(0, len(scene.window), (2, THIN - AROUND))
     cars = fused_strips.widen_levels(levels)
     cars |= ((rng.random(cars.shape) < rng.choice([0.0, 0.3])) * np.uint8(17)).astype(np.uint8)
-    window = np.concatenate([one.window[more[0]], one.window, one.window[more[1]]])
+    window = np.concatenate([scene.window[more[0]], scene.window, scene.window[more[1]]])
     return (
         window,
         above,
@@ -585,15 +599,15 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
         walls,
         cars,
         alone[INNER:-INNER],
-        one.beams,
-        one.step,
+        scene.beams,
+        scene.step,
         decision(rng),
     )
 
 
 def vote_case(rng: Generator) -> tuple[Any, ...]:
-    one = street(rng)
-    range_m = one.range_m
+    scene = street(rng)
+    range_m = scene.range_m
     labels = rng.choice(
         [1, 2, 3, 4, 5, 7, 11], range_m.shape, p=[0.1, 0.1, 0.1, 0.25, 0.25, 0.1, 0.1]
     ).astype(np.uint8)
@@ -602,12 +616,12 @@ def vote_case(rng: Generator) -> tuple[Any, ...]:
     labels[np.isnan(range_m)] = 0
     half = np.float32(rng.choice([0.0, 0.8, 8.0]))
     near = np.float32(rng.choice([0.1, 2.0]))
-    return labels, range_m, one.beams, one.step, half, near
+    return labels, range_m, scene.beams, scene.step, half, near
 
 
 def curb_case(rng: Generator) -> tuple[Any, ...]:
-    one = street(rng)
-    above = heights(rng, one)
+    scene = street(rng)
+    above = heights(rng, scene)
     labels = rng.choice([1, 2, 3, 4, 5, 7], above.shape, p=[0.05, 0.1, 0.6, 0.1, 0.1, 0.05]).astype(
         np.uint8
     )
@@ -622,16 +636,15 @@ def curb_case(rng: Generator) -> tuple[Any, ...]:
         margin=rng.choice([0.0, 0.2]),
         steep=rng.choice([0.0, 1.5]),
     )
-    return labels, one.range_m, above, one.beams, one.step, chosen
+    return labels, scene.range_m, above, scene.beams, scene.step, chosen
 
 
 def again_case(rng: Generator) -> tuple[Any, ...]:
-    """Labels as they may be, of lines with one more before and after than the block, ranges with
-    three."""
-    one = street(rng)
+    """Labels of lines with one more before and after than the block, ranges with three more."""
+    scene = street(rng)
     n_lines = int(rng.integers(1, 4))
-    m = one.window.shape[1]
-    range_m = np.ascontiguousarray(one.window[rng.integers(0, len(one.window), n_lines + 6)])
+    m = scene.window.shape[1]
+    range_m = np.ascontiguousarray(scene.window[rng.integers(0, len(scene.window), n_lines + 6)])
     if rng.random() < 0.5:
         # panes: most shots are before the others
         range_m[rng.random(range_m.shape) < 0.8] = rng.choice([3.0, 3.125])
@@ -685,7 +698,9 @@ def fan_case(rng: Generator) -> tuple[Any, ...]:
     above = np.where(labels == 3, 0, np.linspace(0, 3, m) * rng.choice([0.5, 1.0])).astype(
         np.float32
     )
-    sides = np.flatnonzero(beam >= 0).astype(np.int32), np.flatnonzero(beam < 0).astype(np.int32)
+    sides = Sides(
+        np.flatnonzero(beam >= 0).astype(np.int32), np.flatnonzero(beam < 0).astype(np.int32)
+    )
     before = rng.choice([0, 1, 2, 3], (12, 400), p=[0.7, 0.1, 0.1, 0.1]).astype(np.uint8) * int(
         rng.integers(2)
     )
@@ -711,21 +726,26 @@ def fan_case(rng: Generator) -> tuple[Any, ...]:
 
 
 def confidence_case(rng: Generator) -> tuple[Any, ...]:
-    one = street(rng)
-    above = heights(rng, one)
-    range_m = one.range_m
+    scene = street(rng)
+    above = heights(rng, scene)
+    range_m = scene.range_m
     labels = rng.choice([1, 2, 3, 4, 5, 7, 8, 11], range_m.shape).astype(np.uint8)
     if rng.random() < 0.5:
         labels[:, : labels.shape[1] // 2] = rng.choice([2, 3, 4])
     labels[np.isnan(range_m)] = 0
-    counts = tuple(rng.integers(0, most, range_m.shape).astype(np.uint8) for most in (29, 11, 4, 4))
+    counts = Neighbours(
+        *(rng.integers(0, most, range_m.shape).astype(np.uint8) for most in (29, 11, 4, 4))
+    )
     texture = rng.choice([0.0, 0.2, 0.25, 0.6, 1.0], range_m.shape).astype(np.float32)
     strips = (len(range_m), fused_strips.STRIPS)
     words = rng.integers(0, 2**63, strips).astype(np.uint64) << rng.integers(0, 64, strips).astype(
         np.uint64
     )
-    walls = tuple(
-        rng.choice([0.0, -9.0, -2.25, 2.0, 5.0], strips).astype(np.float32) for _ in range(2)
+    places = [0.0, -9.0, -2.25, 2.0, 5.0]
+    walls = Walls(
+        rng.choice(places, strips).astype(np.float32),
+        np.zeros(strips, np.float32),
+        rng.choice(places, strips).astype(np.float32),
     )
     limits = np.array(list(MEASURES.values()), np.float32)
     questions = rng.integers(0, len(limits), (12, 5))
@@ -736,10 +756,10 @@ def confidence_case(rng: Generator) -> tuple[Any, ...]:
         above,
         texture,
         counts,
-        (words, words & rng.integers(0, 2**63, strips).astype(np.uint64)),
+        FilledSlots(words, words & rng.integers(0, 2**63, strips).astype(np.uint64)),
         walls,
-        one.beams,
-        one.step,
+        scene.beams,
+        scene.step,
         groups,
         questions,
         limits,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.classes import Reason
 from prc_cli.core.types import F32, I64, U8, Mask
+from prc_cli.methods.fused.records import Beams, FilledSlots, Neighbours, Walls
 from prc_cli.methods.fused.thresholds import DecisionThresholds
 
 MISSING, _, NOISE, GROUND = range(4)
@@ -32,11 +33,11 @@ class _Shot:
 
     window: F32
     points: tuple[F32, F32, F32]
-    counts: tuple[U8, U8, U8, U8]
+    counts: Neighbours
     is_walked: bool
     texture: np.float32
-    slots: tuple[Slots, Slots]
-    walls: tuple[F32, F32, F32]
+    slots: FilledSlots
+    walls: Walls
     levels: U8
     alone: U8
     step: np.float32
@@ -300,15 +301,15 @@ class _Shot:
 def fused_labels(
     window_m: F32,
     above_m: F32,
-    counts: tuple[U8, U8, U8, U8],
+    neighbours: Neighbours,
     walked: Mask,
     texture: F32,
-    slots: tuple[Slots, Slots],
-    walls: tuple[F32, F32, F32],
+    slots: FilledSlots,
+    walls: Walls,
     levels: U8,
-    alone: U8,
-    beams: tuple[F32, F32],
-    step: np.float32,
+    kinds: U8,
+    beams: Beams,
+    step_rad: np.float32,
     thresholds: DecisionThresholds,
 ) -> U8:
     """Find the rules of shots; see :func:`prc_cli.methods.fused.classes_loops.fused_labels`."""
@@ -320,14 +321,14 @@ def fused_labels(
         shot = _Shot(
             window_m,
             points,
-            counts,
+            neighbours,
             is_walked,
             soft,
             slots,
             walls,
             levels,
-            alone,
-            step,
+            kinds,
+            step_rad,
             thresholds,
             int(line),
             int(i),
@@ -338,7 +339,7 @@ def fused_labels(
         twin_line = _Line(
             ranges,
             *(image[line + 2] for image in points),
-            *(seen[line + 2] for seen in counts),
+            *(seen[line + 2] for seen in neighbours),
             row,
             thresholds,
         )
@@ -455,6 +456,6 @@ class _Line:
                 self.labels[shots] = np.uint8(Reason.BOX)
 
 
-def _points(range_m: F32, beams: tuple[F32, F32]) -> tuple[F32, F32]:
+def _points(range_m: F32, beams: Beams) -> tuple[F32, F32]:
     """Turn ranges into points of the scan plane."""
     return range_m * beams[0], -(range_m * beams[1])

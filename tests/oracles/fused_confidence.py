@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.types import F32, I32, I64, U8
+from prc_cli.methods.fused.records import Beams, FilledSlots, Neighbours, Walls
 
 Words = NDArray[np.uint64]
 STRIPS = 320
@@ -17,10 +18,10 @@ def confidence_cells(
     range_m: F32,
     above_m: F32,
     texture: F32,
-    counts: tuple[U8, U8, U8, U8],
-    slots: tuple[Words, Words],
-    walls: tuple[F32, F32],
-    beams: tuple[F32, F32],
+    neighbours: Neighbours,
+    slots: FilledSlots,
+    walls: Walls,
+    beams: Beams,
     step: np.float32,
     groups: I64,
     questions: I64,
@@ -31,7 +32,7 @@ def confidence_cells(
     See :func:`prc_cli.methods.fused.confidence_loops.confidence_cells`.
     """
     cells = np.zeros(labels.shape, np.int32)
-    near, smooth, upright, level = counts
+    near, smooth, upright, level = neighbours
     for line, i in zip(*np.nonzero(labels), strict=True):
         r = range_m[line, i]
         y = range_m[line, i] * beams[0][i]
@@ -85,8 +86,8 @@ def _agreement(
 def _place(
     y: np.float32,
     line: int,
-    slots: tuple[Words, Words],
-    walls: tuple[F32, F32],
+    slots: FilledSlots,
+    walls: Walls,
 ) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
     none = np.float32(0), np.float32(0), np.float32(0), np.float32(-50), np.float32(50)
     if np.isnan(y) or not -STRIPS / 4 <= y < STRIPS / 4:
@@ -94,8 +95,8 @@ def _place(
     b = int(np.floor(y / np.float32(0.5))) + STRIPS // 2
     every, rough = (f"{int(words[line, b]):b}" for words in slots)
     n = every.count("1")
-    distance = walls[0][line, b]
-    before = walls[1][line, b]
+    distance = walls.side_m[line, b]
+    before = walls.ahead_m[line, b]
     return (
         np.float32(rough.count("1")) / np.float32(max(n, 1)),
         np.float32(0 if n == 0 else len(every)) * np.float32(0.25),

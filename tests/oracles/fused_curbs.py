@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.types import F32, U8, Mask
+from prc_cli.methods.fused.records import Beams
 from prc_cli.methods.fused.thresholds import CurbThresholds
 
 NO_SURFACE = (0, 2)
@@ -16,7 +17,7 @@ def curb_labels(
     labels: U8,
     range_m: F32,
     above_m: F32,
-    beams: tuple[F32, F32],
+    beams: Beams,
     step: np.float32,
     thresholds: CurbThresholds,
 ) -> U8:

@@ -8,6 +8,7 @@ from math import floor
 import numpy as np
 
 from prc_cli.core.types import F32, I32, U8
+from prc_cli.methods.fused.records import Sides
 from prc_cli.methods.fused.thresholds import FanThresholds
 
 LINES = 12
@@ -31,9 +32,9 @@ def fan_cars(
     above_m: F32,
     texture: F32,
     sine: F32,
-    sides: tuple[I32, I32],
+    sides: Sides,
     before: U8,
-    n_own: int,
+    n_labelled: int,
     thresholds: FanThresholds,
 ) -> tuple[U8, U8]:
     """Label cars in fans; see :func:`prc_cli.methods.fused.fans_loops.fan_cars`."""
@@ -64,7 +65,7 @@ def fan_cars(
         things = ((around & THING) > 0).sum(axis=0)[seeds.argmax()]
         if np.float32(seeds.max()) >= thresholds.share * np.float32(seeds.max() + things):
             cars[line, [i for i in columns if labels[line, i] != POLE]] = CAR
-    return cars[:n_own], marks[n_own : n_own + LINES]
+    return cars[:n_labelled], marks[n_labelled : n_labelled + LINES]
 
 
 def runs_of(

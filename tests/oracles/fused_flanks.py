@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.types import F32, I32, U8, Mask
+from prc_cli.methods.fused.records import Beams, StripSums
 from prc_cli.methods.fused.thresholds import FlankThresholds
 from tests.oracles.fused_strips import sum_around
 
@@ -22,9 +23,9 @@ def find_flanks(
     range_m: F32,
     above_m: F32,
     upright: U8,
-    beams: tuple[F32, F32],
-    sums: tuple[F32, F32, F32],
-    every: Slots,
+    beams: Beams,
+    sums: StripSums,
+    slots: Slots,
     levels: U8,
     thresholds: FlankThresholds,
 ) -> tuple[U8, U8]:
@@ -36,7 +37,7 @@ def find_flanks(
     counts, depths = ground_of(side_m, range_m * beams[1], is_ground)
     for line in range(len(levels)):
         lines = slice(line, line + 5)
-        length, wall, place = (sum_around(values[lines]) for values in sums)
+        length, wall, place = (sum_around(values[lines]) for values in sums[:3])
         least = thresholds.least_m * np.float32(5)
         most = thresholds.most_m * np.float32(5)
         for b in np.flatnonzero(
@@ -64,7 +65,7 @@ def find_flanks(
             is_low = beneath >= thresholds.shots and beyond * 4 <= beneath
             hangs = wall[b] >= thresholds.large_m * np.float32(5)
             hangs = hangs and _hangs(
-                counts[seen, way], depths[seen, way], every[seen], b, away, thresholds
+                counts[seen, way], depths[seen, way], slots[seen], b, away, thresholds
             )
             if is_low or hangs:
                 flanks[line, b] = 1

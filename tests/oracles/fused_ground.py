@@ -6,7 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from prc_cli.core.types import F32, I32, U8, Mask
+from prc_cli.core.types import F32, I32, Mask
+from prc_cli.methods.fused.records import Beams, Neighbours, Sides
 from prc_cli.methods.fused.thresholds import WalkThresholds
 
 QUARTER = np.float32(0.25)
@@ -24,9 +25,9 @@ Memory = tuple[F32, I32, F32, F32]
 
 def walk_ground(
     range_m: F32,
-    beams: tuple[F32, F32],
-    counts: tuple[U8, U8, U8, U8],
-    sides: tuple[I32, I32],
+    beams: Beams,
+    neighbours: Neighbours,
+    sides: Sides,
     memory: Memory,
     start_m: np.float32,
     lost: int,
@@ -45,8 +46,8 @@ def walk_ground(
     for line in range(len(side_m)):
         if line == keep:
             kept = _copied(heights, ages, shots, sums), start_m, lost, missed
-        level = (counts[0][line] >= thresholds.least_near) & (counts[1][line] > 0)
-        level &= counts[3][line] > counts[2][line]
+        level = (neighbours[0][line] >= thresholds.least_near) & (neighbours[1][line] > 0)
+        level &= neighbours[3][line] > neighbours[2][line]
         known = np.flatnonzero((ages.astype(np.float32) < thresholds.memory_lines).any(axis=0))
         if len(known):
             nearest_m = next(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.types import F32, U8
+from prc_cli.methods.fused.records import Beams, Neighbours, StripSums
 from prc_cli.methods.fused.thresholds import ColumnThresholds, StripThresholds, WallThresholds
 
 N = 320
@@ -24,9 +25,9 @@ Slots = NDArray[np.uint64]
 def fill_strips(
     range_m: F32,
     above_m: F32,
-    counts: tuple[U8, U8, U8, U8],
-    columns: U8,
-    beams: tuple[F32, F32],
+    neighbours: Neighbours,
+    kinds: U8,
+    beams: Beams,
     step: np.float32,
     thresholds: StripThresholds,
 ) -> tuple[Slots, Slots, F32, F32, F32, F32, U8]:
@@ -35,7 +36,7 @@ def fill_strips(
     above = above_m
     side = ranges * beams[0]
     height = -(ranges * beams[1])
-    near, smooth, upright, level = counts
+    near, smooth, upright, level = neighbours
     shape = (len(ranges), N)
     every = np.zeros(shape, np.uint64)
     rough = np.zeros(shape, np.uint64)
@@ -57,7 +58,7 @@ def fill_strips(
             rough[k, strip] |= bit
         stands_for = ranges[k, i] * step / max(abs(y) / ranges[k, i], np.float32(0.3))
         length[k, strip] += stands_for
-        if smooth[k, i] >= thresholds.smooth and upright[k, i] >= 2 and columns[k, i] != COLUMN:
+        if smooth[k, i] >= thresholds.smooth and upright[k, i] >= 2 and kinds[k, i] != COLUMN:
             wall[k, strip] += stands_for
             place[k, strip] += stands_for * y
             top[k, strip] = max(top[k, strip], height[k, i])
@@ -88,9 +89,7 @@ def widen_levels(levels: U8) -> U8:
     return np.stack([levels[k : k + 5].max(axis=0) for k in range(len(levels) - 4)])
 
 
-def find_walls(
-    sums: tuple[F32, F32, F32, F32], flanks: U8, thresholds: WallThresholds
-) -> tuple[F32, F32, F32]:
+def find_walls(sums: StripSums, flanks: U8, thresholds: WallThresholds) -> tuple[F32, F32, F32]:
     """Find walls; see :func:`prc_cli.methods.fused.strips_loops.find_walls`."""
     n_lines = len(sums[0]) - 4
     distance, top, ahead = (np.zeros((n_lines, N), np.float32) for _ in range(3))
@@ -139,7 +138,7 @@ class _Lines:
     above: F32
     near: U8
     smooth: U8
-    beams: tuple[F32, F32]
+    beams: Beams
     limits: ColumnThresholds
 
     @property
@@ -365,12 +364,12 @@ def _added(values: F32) -> np.float32:
 def find_columns(
     window_m: F32,
     above_m: F32,
-    counts: tuple[U8, U8, U8, U8],
-    beams: tuple[F32, F32],
+    neighbours: Neighbours,
+    beams: Beams,
     thresholds: ColumnThresholds,
 ) -> U8:
     """Find trunks and posts; see :func:`prc_cli.methods.fused.strips_loops.find_columns`."""
-    lines = _Lines(window_m, above_m, counts[0], counts[1], beams, thresholds)
+    lines = _Lines(window_m, above_m, neighbours[0], neighbours[1], beams, thresholds)
     columns = np.zeros(above_m.shape, np.uint8)
     for line in range(len(above_m)):
         for run in lines.runs(line):

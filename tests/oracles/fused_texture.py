@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.types import F32, U8
+from prc_cli.methods.fused.thresholds import DepthThresholds
 
 
 def mean_smoothness(
@@ -14,10 +15,10 @@ def mean_smoothness(
     step: np.float32,
     least_near: np.float32,
     half_m: np.float32,
-    limits: tuple[np.float32, np.float32, np.float32],
+    thresholds: DepthThresholds,
 ) -> F32:
     """Average smoothness; see :func:`prc_cli.methods.fused.texture_loops.mean_smoothness`."""
-    rough, depth_m, least_pairs = limits
+    rough, depth_m, least_pairs = thresholds
     mean = np.zeros((len(range_m) - 4, range_m.shape[1]), np.float32)
     pairs = np.minimum(smooth, 8).astype(int)
     for line, i in zip(*np.nonzero(~np.isnan(range_m[2:-2])), strict=True):

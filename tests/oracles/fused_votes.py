@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.types import F32, U8
+from prc_cli.methods.fused.records import Beams
 
 MISSING, OTHER, NOISE, GROUND, BUILDING, VEGETATION = range(6)
 CAR = 7
 POLE = 11
 
 
-def _points(range_m: F32, beams: tuple[F32, F32]) -> tuple[F32, F32]:
+def _points(range_m: F32, beams: Beams) -> tuple[F32, F32]:
     """Turn ranges into points of the scan plane."""
     return range_m * beams[0], -(range_m * beams[1])
 
@@ -19,7 +20,7 @@ def _points(range_m: F32, beams: tuple[F32, F32]) -> tuple[F32, F32]:
 def vote_labels(
     labels: U8,
     range_m: F32,
-    beams: tuple[F32, F32],
+    beams: Beams,
     step: np.float32,
     half_m: np.float32,
     near_m: np.float32,

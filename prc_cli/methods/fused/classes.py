@@ -1,4 +1,4 @@
-"""The label of every shot: a decision list (tests in a fixed order), a vote, and what is asked after it."""
+"""The label of every shot: a list of rules (:mod:`classes_loops`), a vote, and what only a wider window shows."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from prc_cli import kernels
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, U8
 from prc_cli.methods.fused.ground import Ground
-from prc_cli.methods.fused.neighbours import Neighbours
 from prc_cli.methods.fused.plane import VOTE_LINES, WIDE_LINES, ScanPlane
-from prc_cli.methods.fused.strips import Standing
+from prc_cli.methods.fused.records import Neighbours
+from prc_cli.methods.fused.strips import Strips
 from prc_cli.methods.fused.thresholds import (
     AgainThresholds,
     CurbThresholds,
@@ -79,22 +79,21 @@ def has_ceiling(range_m: F32, plane: ScanPlane) -> bool:
 @stage("texture")
 def texture_of(
     range_m: F32,
-    seen: Neighbours,
+    neighbours: Neighbours,
     plane: ScanPlane,
     limits: Limits,
 ) -> F32:
     """Return the mean smoothness around every shot; see :func:`texture_loops.mean_smoothness`."""
     foliage = limits.foliage
     decision = limits.decision
-    again = foliage.again(float(decision.leaf_share), float(plane.step_rad))
     texture: F32 = kernels.mean_smoothness(
         range_m,
-        seen.near,
-        seen.smooth,
+        neighbours.near,
+        neighbours.smooth,
         plane.step_rad,
         decision.least_near,
         np.float32(foliage.half_width_m),
-        again,
+        foliage.thresholds(float(decision.leaf_share), float(plane.step_rad)),
     )
     return texture
 
@@ -102,41 +101,30 @@ def texture_of(
 @stage("classes")
 def decide(
     window_m: F32,
-    seen: Neighbours,
+    neighbours: Neighbours,
     ground: Ground,
     texture: F32,
-    standing: Standing,
+    strips: Strips,
     plane: ScanPlane,
     thresholds: DecisionThresholds,
 ) -> U8:
-    """Label every shot of the lines; see :func:`classes_loops.fused_labels`.
+    """Label every shot of the lines by the rules of :mod:`classes_loops`, in their order.
 
-    The first test that applies decides:
-
-    1. isolated, and neither a leaf nor part of a surface: noise;
-    2. a spike: noise;
-    3. rough and far below the ground, and not the side of a pit: noise;
-    4. on the ground: ground;
-    5. few near neighbours behind a wall, and either no smooth pair, or rough and far behind it: noise; so is what is
-       isolated in a car without a smooth pair;
-    6. part of a low object with level surfaces: car;
-    7. thin and upright, or short and high above the ground: vegetation below a crown or where it is thick (a trunk),
-       otherwise pole; so is what is small to all sides and has a level top, whatever it was so far:
-       bins, cabinets;
-    8. in rough surroundings, and neither in or above a wall nor seen through its windows: vegetation;
-    9. otherwise: building.
+    ``window_m`` (lines + 2 n, M) float32, metres; ``texture`` and ``strips`` of the lines alone; all
+    else of two more lines before and after; returns (lines, M) uint8,
+    :class:`~prc_cli.core.classes.Reason`.
     """
     beside = (len(window_m) - len(texture)) // 2 - THING_LINES
     labels: U8 = kernels.fused_labels(
         window_m[beside : len(window_m) - beside],
         ground.above_m,
-        seen.counts,
+        neighbours,
         ground.walked,
         texture,
-        standing.slots,
-        standing.walls,
-        standing.levels,
-        standing.columns,
+        strips.slots,
+        strips.walls,
+        strips.levels,
+        strips.kinds,
         plane.beams,
         plane.step_rad,
         thresholds,
@@ -164,8 +152,9 @@ def vote(
 
 
 @stage("noise again")
-def ask_again(
-    labels: tuple[U8, U8],
+def find_late_noise(
+    decided: U8,
+    voted: U8,
     range_m: F32,
     smooth: U8,
     above_m: F32,
@@ -174,14 +163,20 @@ def ask_again(
 ) -> U8:
     """Label noise that only a wider window shows; see :func:`noise_loops.noise_again`.
 
-    ``labels`` tuple of (lines + 2, M) uint8 and (lines, M) uint8; ``range_m, above_m`` (lines + 6,
-    M) float32, metres; ``texture`` (lines + 2, M) float32; returns (lines, M) uint8.
+    ``decided`` (lines + 2, M) uint8 and ``voted`` (lines, M) uint8, labels; ``range_m, above_m``
+    (lines + 6, M) float32, metres; ``texture`` (lines + 2, M) float32; returns (lines, M) uint8.
     """
     inner = slice(WIDE_LINES + VOTE_LINES, -WIDE_LINES - VOTE_LINES)
-    found: U8 = kernels.noise_again(
-        *labels, range_m, smooth, above_m[inner], texture[VOTE_LINES:-VOTE_LINES], limits
+    labels: U8 = kernels.noise_again(
+        decided,
+        voted,
+        range_m,
+        smooth,
+        above_m[inner],
+        texture[VOTE_LINES:-VOTE_LINES],
+        limits,
     )
-    return found
+    return labels
 
 
 @stage("curbs")
@@ -195,8 +190,10 @@ def find_curbs(
     """Label the faces of curbs; see :func:`curbs_loops.curb_labels`."""
     if limits is None:
         return labels
-    found: U8 = kernels.curb_labels(labels, range_m, above_m, plane.beams, plane.step_rad, limits)
-    return found
+    with_curbs: U8 = kernels.curb_labels(
+        labels, range_m, above_m, plane.beams, plane.step_rad, limits
+    )
+    return with_curbs
 
 
 def no_profiles() -> U8:
@@ -204,14 +201,17 @@ def no_profiles() -> U8:
     return np.zeros((LINES, 2 * BINS), np.uint8)
 
 
-def are_wanted(plane: ScanPlane, limits: Limits) -> bool:
+def has_car_profiles(plane: ScanPlane, limits: Limits) -> bool:
     """Return whether cars are looked for in the profiles of a scanner's lines."""
     return float(plane.step_rad) >= limits.roof_step_rad
 
 
 @stage("profiles")
 def find_cars(
-    seen: tuple[U8, F32, F32, F32],
+    labels: U8,
+    range_m: F32,
+    above_m: F32,
+    texture: F32,
     n_lines: int,
     plane: ScanPlane,
     before: U8,
@@ -219,9 +219,10 @@ def find_cars(
 ) -> tuple[U8, U8]:
     """Label cars by lines across their roofs; see :func:`fans_loops.fan_cars`.
 
-    ``seen`` tuple of (lines + ahead, M) arrays; ``before`` (LINES, 2 BINS) uint8.
+    The first four are (lines + ahead, M); ``before`` (LINES, 2 BINS) uint8; returns the labels of
+    ``n_lines`` lines, and the marks for the next block.
     """
-    found: tuple[U8, U8] = kernels.fan_cars(
-        *seen, plane.sine, (plane.left, plane.right), before, n_lines, thresholds
+    with_cars, after = kernels.fan_cars(
+        labels, range_m, above_m, texture, plane.sine, plane.sides, before, n_lines, thresholds
     )
-    return found
+    return with_cars, after

@@ -1,4 +1,38 @@
-"""Loops of the fused classifier that label every shot, from its neighbours, the ground and the walls."""
+"""Why a shot of a street has its label: the rules of the fused classifier, in the order in which they decide.
+
+The first rule that applies gives the label. ``prc explain`` prints its name.
+
+====  =================  ==========  ==============================================================
+step  rule               label       reason
+====  =================  ==========  ==============================================================
+1     MISSING            missing     there is no return
+1     LONELY             noise       nothing is near it, although the scanner is
+2     ISOLATED           noise       few shots are near it, and it is neither a leaf nor on a surface
+2     SPIKE              noise       it is rough amid a smooth surface
+2     BELOW_GROUND       noise       it is rough and far below the ground, and no side of a pit
+1, 2  WALKED             ground      the walk along the ground went over it
+1, 2  LEVEL_LOW          ground      it is low, and more level than upright
+1, 2  LOW                ground      it is very low, and not upright
+3     BEHIND_WALL        noise       it is far behind a wall, with few shots near: a reflection
+3     IN_CAR             noise       it is in a car, with few shots near and no smooth pair
+4     CROWN              vegetation  it is on something upright below a crown: a trunk
+4     TRUNK              vegetation  it is on something upright that is as thick as a trunk
+4     POST               pole        it is on something upright and thin
+4     ARM                pole        it is on something thin or short, high above the ground
+5     SMALL              pole        it is on something small that stands free
+5     SMOOTH             building    it is on a fence
+5     LEVEL_BODY         car         it is low, with level surfaces around
+5     FOLIAGE            vegetation  few pairs around are smooth, and it is in no wall: a hedge, a tree
+5     LEAF               vegetation  few shots are near it, but other leaves are
+5     FACADE             building    few pairs around are smooth, but it is in a wall
+5     SMOOTH             building    everything else: something smooth above the ground
+6     BOX                pole        it is on a bin or a cabinet, whatever it was so far
+====  =================  ==========  ==============================================================
+
+Steps are passes over a line. Steps 1, 3 and 5 read every shot; they have no loops inside and no
+branches but the choice of a rule, so that the compiler uses vector instructions. Steps 2, 4 and 6
+look around the few shots that need it.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +40,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import LABEL_BITS, Label, Reason
-from prc_cli.core.types import F32, F32_1, F32_2, I32, U8, U8_2, U64_2, Mask, Mask_2
+from prc_cli.core.types import F32, F32_2, I32, U8, U8_2, U64, Mask_2
 from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.methods.fused.records import (
+    FENCE,
+    FEW_SHOTS,
+    LORRY_BIN,
+    POST,
+    SLOT_M,
+    SLOTS,
+    SMALL,
+    STRIP_M,
+    STRIPS,
+    THIN,
+    Beams,
+    Beside,
+    CarTops,
+    FilledSlots,
+    Line,
+    Neighbours,
+    Place,
+    Shot,
+    Surroundings,
+    Walls,
+)
 from prc_cli.methods.fused.thresholds import DecisionThresholds
 
-Slots = NDArray[np.uint64]
-Pairs = NDArray[np.uint32]
+Counts = NDArray[np.uint32]
+"""Shots in the upper half of a word, their smooth pairs in the lower half."""
 
 LINES = 2
 """Lines before and after a line that its texture is computed from."""
@@ -34,16 +90,10 @@ MOST_SMOOTH = 8
 """Greatest number of smooth pairs that counts."""
 LEAST_COLUMNS = 2
 """Least half width of a place, in columns."""
-COLUMN, THIN, _, FEW, SMALL, FENCE = (np.uint8(kind) for kind in (1, 2, 3, 4, 5, 6))
-STRIPS = 320
-STRIP_M = np.float32(0.5)
-SLOT_M = np.float32(0.25)
-SLOTS = 64
-"""As in :mod:`strips_loops`."""
-HANGS = 16
-"""As in :mod:`flanks_loops`."""
 HALF_STRIP_M = np.float32(0.25)
 """Width of a bin of level surfaces [m]."""
+BEYOND = 2 * STRIPS
+"""Bin of shots beyond the strips."""
 SPIKE_PLACE_M = np.float32(0.1)
 """Half width of the place beside a spike [m]."""
 SPIKE_COLUMNS = 6
@@ -56,131 +106,629 @@ BELOW_SMOOTH = 3
 """With this many smooth pairs, a shot below the ground is no reflection."""
 GAP_SHOTS = 3
 """Lonely shots within a box."""
-_MISSING = int(Label.MISSING)
-_NOISE = int(Label.NOISE)
-_GROUND = int(Label.GROUND)
-_OPEN = 255
-_LEAF = 254
-_ODD = 253
-"""Marks of undecided shots, of lonely leaves, and of shots that may be noise.
 
-No reason is one of them.
-"""
-_LABEL = np.uint8(LABEL_BITS)
-_LONELY, _ISOLATED, _SPIKE, _BELOW = (
-    np.uint8(rule) for rule in (Reason.LONELY, Reason.ISOLATED, Reason.SPIKE, Reason.BELOW_GROUND)
-)
-_BEHIND_WALL = np.uint8(Reason.BEHIND_WALL)
-_IN_CAR = np.uint8(Reason.IN_CAR)
+# What a shot is until a rule applies; no reason is one of these numbers
+_OPEN = np.uint8(255)
+_OPEN_LEAF = np.uint8(254)
+"""A leaf among others, with few shots near it."""
+_DOUBTFUL = np.uint8(253)
+"""It may be noise: step 2 looks around it."""
+_NOT_GROUND = np.uint8(0)
+_LABEL_BITS = np.uint8(LABEL_BITS)
+_NO_RETURN = np.uint8(Label.MISSING)
+_NOISE = np.uint8(Label.NOISE)
+_GROUND = np.uint8(Label.GROUND)
+_MARKED = np.uint8(1)
+
+_MISSING = np.uint8(Reason.MISSING)
+_LONELY = np.uint8(Reason.LONELY)
+_ISOLATED = np.uint8(Reason.ISOLATED)
+_SPIKE = np.uint8(Reason.SPIKE)
+_BELOW_GROUND = np.uint8(Reason.BELOW_GROUND)
 _WALKED = np.uint8(Reason.WALKED)
 _LEVEL_LOW = np.uint8(Reason.LEVEL_LOW)
 _LOW = np.uint8(Reason.LOW)
-_SMOOTH = np.uint8(Reason.SMOOTH)
-_FACADE = np.uint8(Reason.FACADE)
-_ONE_LEAF = np.uint8(Reason.LEAF)
-_FOLIAGE = np.uint8(Reason.FOLIAGE)
+_BEHIND_WALL = np.uint8(Reason.BEHIND_WALL)
+_IN_CAR = np.uint8(Reason.IN_CAR)
 _CROWN = np.uint8(Reason.CROWN)
 _TRUNK = np.uint8(Reason.TRUNK)
-_SMALL = np.uint8(Reason.SMALL)
-_LEVEL_BODY = np.uint8(Reason.LEVEL_BODY)
 _POST = np.uint8(Reason.POST)
 _ARM = np.uint8(Reason.ARM)
+_SMALL = np.uint8(Reason.SMALL)
+_LEVEL_BODY = np.uint8(Reason.LEVEL_BODY)
+_FOLIAGE = np.uint8(Reason.FOLIAGE)
+_LEAF = np.uint8(Reason.LEAF)
+_FACADE = np.uint8(Reason.FACADE)
+_SMOOTH = np.uint8(Reason.SMOOTH)
 _BOX = np.uint8(Reason.BOX)
 
 
+# Step 1: noise and ground, as far as the shot alone tells
+
+
 @helper
-def _count_pairs(
-    near: U8,
-    smooth: U8,
-    least: np.float32,
-    places: Pairs,
+def _label_clear_shots(line: Line, limits: DecisionThresholds, labels: U8) -> None:
+    for i in range(len(labels)):
+        shot = _shot(line, i)
+        is_few = np.float32(shot.near) < limits.least_near
+        is_below = (shot.smooth < BELOW_SMOOTH) & (not (shot.above_m >= -limits.below_m))
+        ground = _ground_rule(shot, limits)
+        if shot.range_m != shot.range_m:
+            rule = _MISSING
+        elif is_few & (shot.near == 0) & (shot.range_m <= limits.lone_m):
+            rule = _LONELY
+        elif is_few | (shot.smooth == 0) | is_below:
+            rule = _DOUBTFUL
+        elif ground != _NOT_GROUND:
+            rule = ground
+        else:
+            rule = _OPEN
+        labels[i] = rule
+
+
+@inlined
+def _ground_rule(shot: Shot, limits: DecisionThresholds) -> np.uint8:
+    off_m = abs(shot.above_m)
+    if shot.is_walked & (off_m < limits.walked_m):
+        return _WALKED
+    if (shot.level > shot.upright) & (off_m < limits.level_m):
+        return _LEVEL_LOW
+    if (shot.upright <= shot.level + np.uint8(1)) & (off_m < limits.soil_m):
+        return _LOW
+    return _NOT_GROUND
+
+
+# Step 2: noise and ground among the doubtful shots
+
+
+@helper
+def _label_doubtful_shots(
+    shots: I32,
+    line: Line,
+    beside: Beside,
+    rough_slots: U64,
+    half_widths: I32,
+    count_sums: Counts,
+    limits: DecisionThresholds,
+    labels: U8,
 ) -> None:
-    """Write the counts of a line's shots.
+    for k in range(len(shots)):
+        i = shots[k]
+        if labels[i] != _DOUBTFUL:
+            continue
+        shot = _shot(line, i)
+        place = _place(beside, i)
+        slots = rough_slots[min(place.bin >> 1, STRIPS - 1)]
+        first = max(i - int(half_widths[i]), 0)
+        end = min(i + int(half_widths[i]) + 1, len(labels))
 
-    One shot in the upper half of a word, its smooth pairs in the lower half.
+        is_few = np.float32(shot.near) < limits.least_near
+        is_leaf = is_few and _is_among_leaves(shot, place, slots, limits)
+        is_pit = shot.upright > 0 and np.float32(shot.near) >= limits.pit_near
+        is_below = shot.above_m < -limits.below_m and shot.smooth < BELOW_SMOOTH
+        ground = _ground_rule(shot, limits)
+        if is_few and not is_leaf and not (shot.near > 0 and _is_on_surface(shot, place, limits)):
+            rule = _ISOLATED
+        elif shot.smooth == 0 and _is_smooth(count_sums[end] - count_sums[first], limits):
+            rule = _SPIKE
+        elif is_below and not is_pit:
+            rule = _BELOW_GROUND
+        elif ground != _NOT_GROUND:
+            rule = ground
+        elif is_leaf:
+            rule = _OPEN_LEAF
+        else:
+            rule = _OPEN
+        labels[i] = rule
 
-    A place has at most 605 shots and 4840 pairs, so neither half overflows.
+
+@inlined
+def _is_among_leaves(
+    shot: Shot, place: Place, rough_slots: np.uint64, limits: DecisionThresholds
+) -> bool:
+    """Whether leaves are around: far away, gaps between them are wider than what counts as near."""
+    if place.bin == BEYOND or not shot.above_m > limits.foot_m or _is_in_wall(shot, place, limits):
+        return False
+    return bool(np.float32(_slots_around(rough_slots, _slot(shot.above_m))) >= limits.leaf_slots)
+
+
+@inlined
+def _is_on_surface(shot: Shot, place: Place, limits: DecisionThresholds) -> bool:
+    """Whether a shot is on a surface: the few shots left of a far one still agree with it."""
+    is_on_ground = abs(shot.above_m) < limits.soil_m
+    return bool((shot.smooth > 0) | is_on_ground | _is_in_wall(shot, place, limits))
+
+
+@inlined
+def _is_smooth(counts_around: np.uint32, limits: DecisionThresholds) -> bool:
+    """Whether the shots around are smooth, in the line and in the lines before and after."""
+    n_shots = np.int32(counts_around >> np.uint32(16))
+    n_pairs = np.int32(counts_around & np.uint32(0xFFFF))
+    return bool(np.float32(n_pairs) > limits.spike_share * np.float32(MOST_SMOOTH * n_shots))
+
+
+# Step 3: what is around a shot, reflections, and what may be upright and thin
+
+
+@helper
+def _label_reflections(
+    line: Line,
+    beside: Beside,
+    limits: DecisionThresholds,
+    around: Surroundings,
+    labels: U8,
+    may_be_upright: U8,
+) -> None:
+    """Write the surroundings of every shot, label reflections, and mark shots for step 4."""
+    for i in range(len(labels)):
+        shot = _shot(line, i)
+        place = _place(beside, i)
+        is_rough = shot.texture < _leaf_share(shot, place, limits)
+        is_foliage = is_rough & (not _is_of_wall(shot, place, limits))
+        is_in_car = _is_in_car(shot, place, is_foliage)
+        around.is_rough[i] = is_rough
+        around.is_foliage[i] = is_foliage
+        around.is_in_car[i] = is_in_car
+
+        n_near = np.float32(shot.near)
+        is_open = labels[i] >= _OPEN_LEAF
+        is_far = _is_far_behind_wall(shot, place, is_foliage, limits)
+        is_lost = is_in_car & (shot.smooth == 0) & (n_near < limits.least_near)
+        if is_open & is_far & (n_near < limits.ghost_near):
+            rule = _BEHIND_WALL
+        elif is_open & is_lost:
+            rule = _IN_CAR
+        else:
+            rule = labels[i]
+        labels[i] = rule
+        is_open = rule >= _OPEN_LEAF
+        may_be_upright[i] = np.uint8(is_open & _may_be_upright(shot, place, is_in_car, limits))
+
+
+@inlined
+def _leaf_share(shot: Shot, place: Place, limits: DecisionThresholds) -> np.float32:
+    """Below this share of smooth pairs around, a place is rough: balconies and roofs are, too."""
+    before_m = abs(place.wall_ahead_m) - abs(shot.side_m)
+    is_before = (before_m >= -STRIP_M) & (before_m <= limits.before_m)
+    is_before &= place.wall_ahead_m != np.float32(0.0)
+    is_house = is_before | _is_on_house(shot, place, limits.roof_m, limits)
+    return limits.leaf_share_before_wall if is_house else limits.leaf_share
+
+
+@inlined
+def _is_of_wall(shot: Shot, place: Place, limits: DecisionThresholds) -> bool:
+    """Whether a rough shot is in a wall, seen through it, or on the facade of a house, at any height."""
+    is_near = _is_on_house(shot, place, limits.behind_m, limits)
+    is_house = _is_on_house(shot, place, limits.roof_m, limits)
+    is_on_facade = is_near & is_house & (place.wall_top_m > np.float32(0.0))
+    return bool(_is_in_wall(shot, place, limits) | is_on_facade)
+
+
+@inlined
+def _is_in_wall(shot: Shot, place: Place, limits: DecisionThresholds) -> bool:
+    """Whether a shot is in a wall, or behind it and seen through one of its windows."""
+    away_m = abs(shot.side_m)
+    wall_m = abs(place.wall_m)
+    behind_m = away_m - wall_m
+    at_wall_m = shot.height_m * (wall_m / away_m) if behind_m > np.float32(0.0) else shot.height_m
+    is_between = (behind_m >= -limits.front_m) & (behind_m <= limits.behind_m)
+    is_below_top = at_wall_m <= place.wall_top_m + limits.over_m
+    return bool((wall_m != np.float32(0.0)) & is_between & is_below_top)
+
+
+@inlined
+def _is_on_house(shot: Shot, place: Place, most_m: np.float32, limits: DecisionThresholds) -> bool:
+    """Whether a shot is up to so far behind a wall that is as high as a storey."""
+    wall_m = abs(place.wall_m)
+    behind_m = abs(shot.side_m) - wall_m
+    storey_m = place.wall_top_m - shot.height_m + shot.above_m
+    is_between = (behind_m >= -limits.front_m) & (behind_m <= most_m)
+    return bool((wall_m != np.float32(0.0)) & is_between & (storey_m >= limits.storey_m))
+
+
+@inlined
+def _is_in_car(shot: Shot, place: Place, is_foliage: np.bool_) -> bool:
+    """Whether a shot is low enough where enough level surfaces are around; foliage needs more of them."""
+    top_m = place.rough_car_top_m if is_foliage else place.car_top_m
+    return bool((shot.above_m >= np.float32(0.0)) & (shot.above_m < top_m))
+
+
+@inlined
+def _is_far_behind_wall(
+    shot: Shot, place: Place, is_foliage: np.bool_, limits: DecisionThresholds
+) -> bool:
+    """Whether the line of sight goes through a wall, and on for longer than a room is deep."""
+    wall_m = abs(place.wall_m)
+    away_m = abs(shot.side_m)
+    behind_m = away_m - wall_m
+    is_through = shot.height_m * wall_m <= place.wall_top_m * away_m
+    is_far = (behind_m > limits.ghost_m) & is_foliage
+    is_far |= (behind_m > limits.behind_m) & (shot.smooth == 0)
+    return bool((wall_m != np.float32(0.0)) & is_through & is_far)
+
+
+@inlined
+def _may_be_upright(shot: Shot, place: Place, is_in_car: bool, limits: DecisionThresholds) -> bool:
+    """Whether a shot is on a post, or on a smooth piece that is upright or high, and of nothing else."""
+    is_piece = (shot.kind != np.uint8(0)) & (shot.kind < SMALL)
+    is_up = (shot.level == 0) | (shot.above_m > limits.arm_m)
+    is_of_car = is_in_car & (shot.kind != THIN)
+    is_part = _is_in_wall(shot, place, limits) | is_of_car
+    is_thin = is_piece & is_up & (shot.above_m > limits.foot_m) & (not is_part)
+    is_thin &= shot.texture >= limits.leaf_share
+    is_known = (place.bin < BEYOND) & (limits.pole_m > np.float32(0.0))
+    return bool(is_known & (is_thin | (shot.kind == POST)))
+
+
+# Step 4: trunks, posts and arms
+
+
+@helper
+def _label_uprights(
+    shots: I32,
+    window_m: F32,
+    row: int,
+    line: Line,
+    beside: Beside,
+    rough_slots: U64,
+    limits: DecisionThresholds,
+    labels: U8,
+) -> None:
+    """Label a list of shots on free-standing things; ``row`` is that of the line in the window."""
+    range_m, side_m, height_m, above_m = line.range_m, line.side_m, line.height_m, line.above_m
+    kind, level = line.kind, line.level
+    end = 0
+    is_round = False
+    for k in range(len(shots)):
+        i = shots[k]
+        if i >= end:
+            end, is_round = _round_run(range_m, side_m, height_m, kind, i, limits)
+        above_slots = rough_slots[beside.bin[i] >> 1] >> np.uint64(_slot(above_m[i]))
+        if np.float32(_bits(above_slots)) >= limits.crown_slots:
+            rule = _CROWN
+        elif kind[i] == FEW_SHOTS:
+            rule = labels[i]  # too few shots to tell a post: step 5
+        elif is_round or _depth_m(window_m, row, i, side_m[i], limits) >= limits.thick_m:
+            rule = _TRUNK
+        elif (level[i] == 0) | (kind[i] == POST):
+            rule = _POST
+        else:
+            rule = _ARM
+        labels[i] = rule
+
+
+@helper
+def _round_run(
+    range_m: F32,
+    side_m: F32,
+    height_m: F32,
+    kind: U8,
+    i: int,
+    limits: DecisionThresholds,
+) -> tuple[int, bool]:
+    """Return the end of the run of a free-standing shot, and whether it is as deep as the front half of a trunk.
+
+    A slanted plane cuts an upright round thing from edge to edge, in an ellipse: it is seen as deep
+    as its radius, and at least three times as high. What is deeper than that is something else, as
+    is what goes up the whole line.
+    """
+    jump_m = limits.jump_m
+    first = i
+    end = i + 1
+    while (
+        end < len(kind) and 0 < kind[end] < SMALL and abs(range_m[end] - range_m[end - 1]) < jump_m
+    ):
+        end += 1
+    while (
+        first > 0
+        and 0 < kind[first - 1] < SMALL
+        and abs(range_m[first - 1] - range_m[first]) < jump_m
+    ):
+        first -= 1
+    deep_m = side_m[first:end].max() - side_m[first:end].min()
+    tall_m = height_m[first:end].max() - height_m[first:end].min()
+    is_round = (deep_m >= limits.thick_m) & (deep_m < np.float32(0.5) * tall_m)
+    return end, bool(is_round & (tall_m < np.float32(2.0) * limits.pole_m))
+
+
+@inlined
+def _depth_m(
+    window_m: F32, row: int, i: int, side_m: np.float32, limits: DecisionThresholds
+) -> np.float32:
+    """Return how deep the thing is that lines before and after see in the direction of a shot, to the side [m]."""
+    least_m = most_m = window_m[row, i]
+    for way in (-1, 1):
+        last_m = window_m[row, i]
+        for k in range(1, BESIDE + 1):
+            range_m = window_m[row + way * k, i]
+            if not (abs(range_m - last_m) < limits.jump_m):
+                break
+            least_m = min(least_m, range_m)
+            most_m = max(most_m, range_m)
+            last_m = range_m
+    return np.float32((most_m - least_m) * (abs(side_m) / window_m[row, i]))
+
+
+# Step 5: everything else above the ground
+
+
+@helper
+def _label_surfaces(
+    line: Line,
+    beside: Beside,
+    around: Surroundings,
+    limits: DecisionThresholds,
+    labels: U8,
+) -> None:
+    for i in range(len(labels)):
+        kind = line.kind[i] if beside.bin[i] < BEYOND else np.uint8(0)
+        is_rough = around.is_rough[i]
+        is_foliage = around.is_foliage[i]
+        is_in_car = around.is_in_car[i]
+        # foliage may stand free as well
+        is_small = (kind >= SMALL) & (is_in_car | (line.texture[i] >= limits.leaf_share))
+        if labels[i] < _OPEN_LEAF:
+            rule = labels[i]
+        elif is_small & (kind == FENCE):
+            rule = _SMOOTH
+        elif is_small:
+            rule = _SMALL
+        elif is_in_car:
+            rule = _LEVEL_BODY
+        elif is_foliage:
+            rule = _FOLIAGE
+        elif labels[i] == _OPEN_LEAF:
+            rule = _LEAF
+        elif is_rough:
+            rule = _FACADE
+        else:
+            rule = _SMOOTH
+        labels[i] = rule
+
+
+# Step 6: bins and cabinets
+
+
+@helper
+def _mark_tops(line: Line, labels: U8, limits: DecisionThresholds, marks: U8) -> None:
+    """Mark the shots of a line that may be on the top of a box: low, smooth and level."""
+    for i in range(len(labels)):
+        is_low = (line.above_m[i] > limits.foot_m) & (line.above_m[i] < limits.box_m)
+        is_level = (line.level[i] > line.upright[i]) & (line.smooth[i] >= BOX_SMOOTH)
+        marks[i] = np.uint8(is_low & is_level & _is_above_ground(labels[i]))
+
+
+@helper
+def _label_boxes(
+    shots: I32,
+    window_m: F32,
+    row: int,
+    line: Line,
+    limits: DecisionThresholds,
+    labels: U8,
+) -> None:
+    """Label the boxes whose tops are in a list.
+
+    They stand alone: beyond their tops something far is seen, or nothing, and what is below them is
+    ground.
+    """
+    done = -1
+    for k in range(len(shots)):
+        i = shots[k]
+        if i <= done:
+            continue
+        first, before = _end_of_box(line, labels, i, -1, limits)
+        last, after = _end_of_box(line, labels, i, 1, limits)
+        done = last
+        if before == first or after == last:
+            continue
+        if line.height_m[last] > line.height_m[first]:
+            top = last
+            beyond = after
+            foot = first
+            below = before
+        else:
+            top = first
+            beyond = before
+            foot = last
+            below = after
+        if beyond >= 0 and line.range_m[beyond] <= line.range_m[top] + limits.far_m:
+            continue
+        is_covered = below >= 0 and line.range_m[below] < line.range_m[foot]
+        if is_covered and not _is_ground(labels[below]):
+            continue
+        is_box = _has_size_of_box(line, first, last, labels, limits)
+        if is_box and _is_seen_by_few_lines(window_m, row, i, limits):
+            for j in range(first, last + 1):
+                labels[j] = _BOX if _is_above_ground(labels[j]) else labels[j]
+
+
+@helper
+def _end_of_box(
+    line: Line, labels: U8, i: int, way: int, limits: DecisionThresholds
+) -> tuple[int, int]:
+    """Follow a box along its line to one side; return its last shot, and the next one, -1 = none close by.
+
+    The next one is the last itself where it is no box: too high, or cut off by the end of the line.
+    """
+    last = i
+    j = i + way
+    gap = 0
+    while 0 <= j < len(labels):
+        is_noise = not _is_above_ground(labels[j]) and not _is_ground(labels[j])
+        if is_noise or np.float32(line.near[j]) < limits.least_near:
+            gap += 1
+            if gap > GAP_SHOTS:
+                return last, -1
+        elif _is_ground(labels[j]) or not abs(line.range_m[j] - line.range_m[last]) < limits.jump_m:
+            return last, j
+        elif line.above_m[j] >= limits.box_m:
+            return last, last
+        else:
+            last = j
+            gap = 0
+        j += way
+    return last, last
+
+
+@helper
+def _has_size_of_box(
+    line: Line, first: int, last: int, labels: U8, limits: DecisionThresholds
+) -> bool:
+    """Return whether a run of shots is smooth, as deep as a box, and has a level top."""
+    high_m = -np.float32(np.inf)
+    near_m = np.float32(np.inf)
+    far_m = -np.float32(np.inf)
+    n = 0
+    n_smooth = 0
+    for j in range(first, last + 1):
+        if _is_above_ground(labels[j]):
+            high_m = max(high_m, line.above_m[j])
+            near_m = min(near_m, abs(line.side_m[j]))
+            far_m = max(far_m, abs(line.side_m[j]))
+            n += 1
+            n_smooth += line.smooth[j] >= BOX_SMOOTH
+    deep_m = far_m - near_m
+    if (
+        np.float32(n) < limits.pole_shots
+        or deep_m > limits.box_deep_m
+        or deep_m < limits.box_flat_m
+    ):
+        return False
+    near_top_m = np.float32(np.inf)
+    far_top_m = -np.float32(np.inf)
+    for j in range(first, last + 1):
+        if _is_above_ground(labels[j]) and line.above_m[j] > high_m - BOX_EVEN_M:
+            near_top_m = min(near_top_m, abs(line.side_m[j]))
+            far_top_m = max(far_top_m, abs(line.side_m[j]))
+    if far_top_m - near_top_m < limits.box_flat_m:
+        return False
+    return bool(np.float32(n_smooth) >= BOX_SHARE * np.float32(n))
+
+
+@inlined
+def _is_seen_by_few_lines(window_m: F32, row: int, i: int, limits: DecisionThresholds) -> bool:
+    before = _lines_beside(window_m, row, i, -1, limits)
+    if before == MARGIN or np.float32(before) > limits.box_lines:
+        return False
+    after = _lines_beside(window_m, row, i, 1, limits)
+    return bool(after < MARGIN and np.float32(before + after) <= limits.box_lines)
+
+
+@inlined
+def _lines_beside(window_m: F32, row: int, i: int, way: int, limits: DecisionThresholds) -> int:
+    """Return how many lines to one side see a box in the direction of a shot; MARGIN if none sees past it.
+
+    Single lines that see past it do not count: they see background light, or look through a pane.
+    """
+    last_m = window_m[row, i]
+    n_lines = 0
+    n_off = 0
+    n_past = 0
+    for k in range(1, MARGIN + 1):
+        range_m = window_m[row + way * k, i]
+        if abs(range_m - last_m) < limits.jump_m:
+            last_m = range_m
+            n_lines = k
+            n_off = 0
+            n_past = 0
+            continue
+        n_off += 1
+        n_past += not (range_m <= last_m + limits.far_m)
+        if n_off == BOX_ODD:
+            return n_lines if n_past >= BOX_ODD - 1 else MARGIN
+    return MARGIN
+
+
+@inlined
+def _is_above_ground(rule: np.uint8) -> bool:
+    label = rule & _LABEL_BITS
+    return bool((label != _NO_RETURN) & (label != _NOISE) & (label != _GROUND))
+
+
+@inlined
+def _is_ground(rule: np.uint8) -> bool:
+    return bool(rule & _LABEL_BITS == _GROUND)
+
+
+# What the steps read: shots, points, places, strips and cars
+
+
+@inlined
+def _shot(line: Line, i: int) -> Shot:
+    return Shot(
+        line.range_m[i],
+        line.side_m[i],
+        line.height_m[i],
+        line.above_m[i],
+        line.near[i],
+        line.smooth[i],
+        line.upright[i],
+        line.level[i],
+        line.is_walked[i],
+        line.texture[i],
+        line.kind[i],
+    )
+
+
+@inlined
+def _place(beside: Beside, i: int) -> Place:
+    return Place(
+        beside.bin[i],
+        beside.wall_m[i],
+        beside.wall_top_m[i],
+        beside.wall_ahead_m[i],
+        beside.car_top_m[i],
+        beside.rough_car_top_m[i],
+    )
+
+
+@helper
+def _lay_out(range_m: F32, beams: Beams, side_m: F32, height_m: F32) -> None:
+    """Write the points of a line in the scan plane."""
+    for i in range(len(range_m)):
+        side_m[i] = range_m[i] * beams.sine[i]
+    for i in range(len(range_m)):
+        height_m[i] = -(range_m[i] * beams.cosine[i])
+
+
+@helper
+def _count_pairs(near: U8, smooth: U8, least: np.float32, counts: Counts) -> None:
+    """Write the counts of a line's shots with enough near neighbours.
+
+    A place has at most 605 shots and 4840 pairs, so neither half of a word overflows.
     """
     for i in range(len(near)):
         pairs = np.uint32(min(smooth[i], np.uint8(MOST_SMOOTH)))
-        places[i] = pairs | np.uint32(1 << 16) if np.float32(near[i]) >= least else np.uint32(0)
+        counts[i] = pairs | np.uint32(1 << 16) if np.float32(near[i]) >= least else np.uint32(0)
 
 
 @helper
-def _sum_up_three(
-    one: Pairs,
-    other: Pairs,
-    third: Pairs,
-    so_far: Pairs,
-) -> None:
-    """Write the sums of the first 0, 1, ... columns of three lines together.
-
-    As :func:`_sum_up` does.
-    """
-    own = so_far[1:]
-    for i in range(len(one)):
-        own[i] = one[i] + other[i] + third[i]
+def _sum_up_three(before: Counts, middle: Counts, after: Counts, sums: Counts) -> None:
+    """Write the sums of the first 0, 1, ... columns of three lines together, (M + 1,)."""
+    sums_after = sums[1:]
+    for i in range(len(middle)):
+        sums_after[i] = before[i] + middle[i] + after[i]
     total = np.uint32(0)
-    so_far[0] = total
-    for i in range(len(one)):
-        total = np.uint32(total + own[i])
-        own[i] = total
+    sums[0] = total
+    for i in range(len(middle)):
+        total = np.uint32(total + sums_after[i])
+        sums_after[i] = total
 
 
 @helper
-def _lay_out(
-    ranges: F32,
-    beams: tuple[F32, F32],
-    side: F32,
-    height: F32,
-) -> None:
-    """Write the points of a line in the scan plane."""
-    sine, cosine = beams
-    for i in range(len(ranges)):
-        side[i] = ranges[i] * sine[i]
-    for i in range(len(ranges)):
-        height[i] = -(ranges[i] * cosine[i])
-
-
-@helper
-def _half_widths(
-    ranges: F32,
-    step: np.float32,
-    half_m: np.float32,
-    most: int,
-    columns: I32,
-) -> None:
-    """Write the half width of every shot's place in columns.
-
-    Any number where the shot is missing.
-    """
-    fewest = np.float32(LEAST_COLUMNS)
-    most_of_all = np.float32(most)
-    for i in range(len(ranges)):
-        r = ranges[i] if ranges[i] == ranges[i] else np.float32(1.0)
-        columns[i] = np.int32(min(max(half_m / (r * step), fewest), most_of_all))
+def _half_widths(range_m: F32, step_rad: np.float32, half_widths: I32) -> None:
+    """Write the half width of every shot's place in columns, any number where the shot is missing."""
+    least = np.float32(LEAST_COLUMNS)
+    most = np.float32(SPIKE_COLUMNS)
+    for i in range(len(range_m)):
+        r = range_m[i] if range_m[i] == range_m[i] else np.float32(1.0)
+        half_widths[i] = np.int32(min(max(SPIKE_PLACE_M / (r * step_rad), least), most))
 
 
 @inlined
-def _bits(word: np.uint64) -> int:
-    """Count the bits of a word."""
-    n = 0
-    while word != np.uint64(0):
-        word &= word - np.uint64(1)
-        n += 1
-    return n
-
-
-@inlined
-def _strip(y: np.float32) -> int:
-    """Return the strip of a shot, -1 = beyond."""
-    b = int(np.floor(y / STRIP_M)) + STRIPS // 2
-    return b if 0 <= b < STRIPS else -1
-
-
-@inlined
-def _slot(above: np.float32) -> int:
-    return int(min(max(above / SLOT_M, np.float32(0.0)), np.float32(SLOTS - 1)))
+def _slot(above_m: np.float32) -> int:
+    return int(min(max(above_m / SLOT_M, np.float32(0.0)), np.float32(SLOTS - 1)))
 
 
 @inlined
@@ -193,91 +741,47 @@ def _slots_around(word: np.uint64, slot: int) -> int:
 
 
 @inlined
-def _depth_across(
-    window_m: F32,
-    line: int,
-    i: int,
-    jump: np.float32,
-) -> np.float32:
-    """Return how deep the thing is that lines before and after see in the direction of a shot, along its beam."""
-    least = most = window_m[line, i]
-    for way in (-1, 1):
-        last = window_m[line, i]
-        for k in range(1, BESIDE + 1):
-            there = window_m[line + way * k, i]
-            if not (abs(there - last) < jump):
-                break
-            least = min(least, there)
-            most = max(most, there)
-            last = there
-    return np.float32(most - least)
-
-
-@inlined
-def _ground_rule(
-    h: np.float32,
-    is_walked: bool,
-    up: np.uint8,
-    flat: np.uint8,
-    thresholds: DecisionThresholds,
-) -> np.uint8:
-    """Return why a shot is on the ground.
-
-    Walked over, or low and more level than upright; 0 = it is not.
-    """
-    off = abs(h)
-    rule = _LOW if (off < thresholds.soil_m) & (up <= flat + np.uint8(1)) else np.uint8(0)
-    rule = _LEVEL_LOW if (off < thresholds.level_m) & (flat > up) else rule
-    return _WALKED if (off < thresholds.walked_m) & is_walked else rule
+def _bits(word: np.uint64) -> int:
+    n = 0
+    while word != np.uint64(0):
+        word &= word - np.uint64(1)
+        n += 1
+    return n
 
 
 @helper
-def _label_plain(
-    ranges: F32,
-    above: F32,
-    counts: tuple[U8, U8, U8, U8],
-    walked: Mask,
-    thresholds: DecisionThresholds,
-    labels: U8,
-) -> None:
-    """Label missing shots, near shots without any neighbour, and ground.
+def _bins(side_m: F32, bins: I32) -> None:
+    """Write the half strip of every shot of a line, BEYOND if it is in none."""
+    for i in range(len(side_m)):
+        far_bin = min(max(side_m[i] / HALF_STRIP_M, -_FAR_BINS), _FAR_BINS)
+        b = np.int32(np.floor(far_bin)) + np.int32(STRIPS)
+        bins[i] = b if (b >= 0) & (b < BEYOND) else np.int32(BEYOND)
 
-    Mark the others as undecided.
 
-    Without branches, so that the compiler can use vector instructions.
+@helper
+def _copy_walls(walls: Walls, n: int, walls_of_line: Walls) -> None:
+    """Copy the walls of a line; the strip beyond the last one has none."""
+    for b in range(STRIPS):
+        walls_of_line.side_m[b] = walls.side_m[n, b]
+        walls_of_line.top_m[b] = walls.top_m[n, b]
+        walls_of_line.ahead_m[b] = walls.ahead_m[n, b]
+
+
+@helper
+def _look_beside(shots: I32, walls: Walls, cars: CarTops, beside: Beside) -> None:
+    """Write the walls and cars in the strips of some shots.
+
+    A loop of its own, as all others read memory in order.
     """
-    near, smooth, upright, level = counts
-    least = thresholds.least_near
-    below = thresholds.below_m
-    lone = thresholds.lone_m
-    for i in range(len(ranges)):
-        h = above[i]
-        pairs = smooth[i]
-        up = upright[i]
-        flat = level[i]
-        ground = _ground_rule(h, walked[i], up, flat, thresholds)
-        n_near = np.float32(near[i])
-        is_held = (n_near >= least) & (pairs > 0) & ((h >= -below) | (pairs >= BELOW_SMOOTH))
-        is_odd = (n_near < least) | (pairs == 0) | (h < -below)
-        code = np.uint8(_ODD) if is_odd else np.uint8(_OPEN)
-        code = ground if (ground != 0) & is_held else code
-        code = _LONELY if (near[i] == 0) & (n_near < least) & (ranges[i] <= lone) else code
-        labels[i] = code if ranges[i] == ranges[i] else np.uint8(_MISSING)
-
-
-@inlined
-def _in_wall(
-    y: np.float32,
-    z: np.float32,
-    at: np.float32,
-    top: np.float32,
-    thresholds: DecisionThresholds,
-) -> bool:
-    """Return whether a shot is in a wall, or behind it and seen through it."""
-    behind = abs(y) - abs(at)
-    through = z * (abs(at) / abs(y)) if behind > np.float32(0.0) else z
-    is_between = (behind >= -thresholds.front_m) & (behind <= thresholds.behind_m)
-    return bool((at != np.float32(0.0)) & is_between & (through <= top + thresholds.over_m))
+    for k in range(len(shots)):
+        i = np.uint64(shots[k])
+        q = np.uint64(beside.bin[i])
+        b = q >> np.uint64(1)
+        beside.wall_m[i] = walls.side_m[b]
+        beside.wall_top_m[i] = walls.top_m[b]
+        beside.wall_ahead_m[i] = walls.ahead_m[b]
+        beside.car_top_m[i] = cars.smooth_m[q]
+        beside.rough_car_top_m[i] = cars.rough_m[q]
 
 
 @helper
@@ -294,570 +798,152 @@ def _count_bins(levels: U8, counts: U8) -> None:
 
 @helper
 def _find_cars(
-    every: Slots,
-    levels: U8,
-    counts: U8,
-    thresholds: DecisionThresholds,
-    cars: tuple[F32, F32],
+    slots: U64, levels: U8, counts: U8, limits: DecisionThresholds, cars: CarTops
 ) -> None:
-    """Write up to which height a smooth shot and a rough shot in every bin are of a car.
-
-    0 = no car.
+    """Write up to which height the shots in every bin are of a car.
 
     There is a car where enough bins around are level. It ends below what reaches above cars without
-    a gap; where they are those of a body that hangs high, lorries.
+    a gap; where the bins are those of a body that hangs high, above lorries.
     """
-    smooth_bins = thresholds.car_bins
-    rough_bins = thresholds.car_bins_rough
-    car_slot = int(thresholds.car_top_m / SLOT_M)
-    lorry_slot = int(thresholds.lorry_top_m / SLOT_M)
-    least = min(smooth_bins, rough_bins)
+    car_slot = int(limits.car_top_m / SLOT_M)
+    lorry_slot = int(limits.lorry_top_m / SLOT_M)
+    least = min(limits.car_bins, limits.car_bins_rough)
     _count_bins(levels, counts)
     last = -1
-    below = np.float32(0.0)
+    top_m = np.float32(0.0)
     for q in range(2 * STRIPS):
-        n = np.float32(counts[q] & (HANGS - 1))
-        hanging = np.float32(counts[q] // HANGS)
-        if n < least:
-            cars[0][q] = cars[1][q] = np.float32(0.0)
+        n_level = np.float32(counts[q] & (LORRY_BIN - 1))
+        n_high = np.float32(counts[q] // LORRY_BIN)
+        if n_level < least:
+            cars.smooth_m[q] = cars.rough_m[q] = np.float32(0.0)
             continue
         b = q // 2
-        high = hanging >= least
-        place = 2 * b + 1 if high else 2 * b
+        is_lorry = n_high >= least
+        place = 2 * b + 1 if is_lorry else 2 * b
         if place != last:
-            word = every[b]
             last = place
+            word = slots[b]
             filled = word | (word << np.uint64(1)) | (word << np.uint64(2))
-            slot = lorry_slot if high else car_slot
+            slot = lorry_slot if is_lorry else car_slot
             while slot > 0 and (filled >> np.uint64(slot - 1)) & np.uint64(1) != np.uint64(0):
                 slot -= 1
-            below = np.float32(slot) * SLOT_M
-        cars[0][q] = below if n >= smooth_bins else np.float32(0.0)
-        cars[1][q] = below if n >= rough_bins else np.float32(0.0)
+            top_m = np.float32(slot) * SLOT_M
+        cars.smooth_m[q] = top_m if n_level >= limits.car_bins else np.float32(0.0)
+        cars.rough_m[q] = top_m if n_level >= limits.car_bins_rough else np.float32(0.0)
 
 
 @helper
-def _list_marked(
-    labels: U8,
-    least: int,
-    most: int,
-    shots: I32,
-) -> int:
+def _list_marked(marks: U8, least: np.uint8, most: np.uint8, shots: I32) -> int:
     """List the shots of a line with marks from one to another, return how many there are."""
     n = 0
-    for i in range(len(labels)):
+    for i in range(len(marks)):
         shots[n] = i
-        n += (labels[i] >= least) & (labels[i] <= most)
+        n += (marks[i] >= least) & (marks[i] <= most)
     return n
-
-
-@helper
-def _label_odd(
-    shots: I32,
-    points: tuple[F32, F32, F32],
-    counts: tuple[U8, U8, U8, U8],
-    walked: Mask,
-    rows: tuple[Slots, F32, F32],
-    spikes: tuple[I32, Pairs],
-    thresholds: DecisionThresholds,
-    labels: U8,
-) -> None:
-    """Label noise among the doubtful shots of a line, and ground; mark lonely leaves."""
-    side, height, above = points
-    near, smooth, upright, level = counts
-    rough, at, top = rows
-    columns, so_far = spikes
-    least = thresholds.least_near
-    below = thresholds.below_m
-    share = thresholds.spike_share
-    foot = thresholds.foot_m
-    leaf_slots = thresholds.leaf_slots
-    for k in range(len(shots)):
-        i = shots[k]
-        h = above[i]
-        pairs = smooth[i]
-        is_leaf = False
-        if np.float32(near[i]) < least:
-            y = side[i]
-            b = _strip(y)
-            is_wall = b >= 0 and _in_wall(y, height[i], at[b], top[b], thresholds)
-            # the few shots left of a far surface still agree with it
-            is_held = pairs > 0 or is_wall or abs(h) < thresholds.soil_m
-            if b >= 0 and h > foot and not is_wall:
-                # far away, gaps between leaves are wider than what counts as near
-                is_leaf = bool(np.float32(_slots_around(rough[b], _slot(h))) >= leaf_slots)
-            if not (is_leaf or (is_held and near[i] > 0)):
-                labels[i] = _ISOLATED
-                continue
-        # spikes: the adjacent shots are smooth, in the line and in the lines before and after
-        half = int(columns[i])
-        place = so_far[min(i + half + 1, len(side))] - so_far[max(i - half, 0)]
-        shots_there = np.int32(place >> np.uint32(16))
-        pairs_there = np.int32(place & np.uint32(0xFFFF))
-        is_spike = (pairs == 0) & (
-            np.float32(pairs_there) > share * np.float32(MOST_SMOOTH * shots_there)
-        )
-        is_pit = (upright[i] > 0) & (np.float32(near[i]) >= thresholds.pit_near)
-        ground = _ground_rule(h, walked[i], upright[i], level[i], thresholds)
-        if is_spike:
-            labels[i] = _SPIKE
-        elif (h < -below) & (pairs < BELOW_SMOOTH) & (not is_pit):
-            labels[i] = _BELOW
-        elif ground != 0:
-            labels[i] = ground
-        elif is_leaf:
-            labels[i] = _LEAF
-
-
-@helper
-def _bins(side: F32, bins: I32) -> None:
-    """Write the bin of half a strip of every shot of a line, -1 = beyond."""
-    for i in range(len(side)):
-        q = np.int32(np.floor(min(max(side[i] / HALF_STRIP_M, -_FAR_BINS), _FAR_BINS))) + np.int32(
-            STRIPS
-        )
-        bins[i] = q if (q >= 0) & (q < 2 * STRIPS) else np.int32(-1)
-
-
-@helper
-def _look_up(
-    shots: I32,
-    bins: I32,
-    walls: tuple[F32, F32, F32],
-    cars: tuple[F32, F32],
-    found: tuple[F32, F32, F32, F32, F32],
-) -> None:
-    """Write the walls and cars in the strips of some shots.
-
-    a loop of its own, as all others read memory in order.
-    """
-    at, top, ahead = walls
-    own_at, own_top, own_ahead, below, rough_below = found
-    for k in range(len(shots)):
-        i = np.uint64(shots[k])
-        q = np.uint64(max(bins[i], np.int32(0)))
-        b = q >> np.uint64(1)
-        own_at[i] = at[b]
-        own_top[i] = top[b]
-        own_ahead[i] = ahead[b]
-        below[i] = cars[0][q]
-        rough_below[i] = cars[1][q]
-
-
-@helper
-def _label_things(
-    points: tuple[F32, F32, F32],
-    counts: tuple[U8, U8, U8, U8],
-    soft: F32,
-    bins: I32,
-    found: tuple[F32, F32, F32, F32, F32],
-    alone: U8,
-    thresholds: DecisionThresholds,
-    labels: U8,
-    poles: U8,
-) -> None:
-    """Label the shots of a line that are neither lonely nor ground; mark those that may be poles.
-
-    Without branches, so that the compiler can use vector instructions.
-    """
-    side, height, above = points
-    near, smooth, _, level = counts
-    at, top, ahead, car_below, rough_below = found
-    leaf_share = thresholds.leaf_share
-    share_before = thresholds.leaf_share_before_wall
-    before_m = thresholds.before_m
-    foot = thresholds.foot_m
-    poles_wanted = thresholds.pole_m > 0
-    ghost_m = thresholds.ghost_m
-    ghost_near = thresholds.ghost_near
-    least = thresholds.least_near
-    nothing = np.float32(0.0)
-    arm_m = thresholds.arm_m
-    front_m = thresholds.front_m
-    behind_m = thresholds.behind_m
-    roof_m = thresholds.roof_m
-    storey_m = thresholds.storey_m
-    for i in range(len(labels)):
-        y = side[i]
-        z = height[i]
-        h = above[i]
-        texture = soft[i]
-        is_leaf = labels[i] == _LEAF
-        is_here = bins[i] >= 0
-        wall = abs(at[i])
-        end = top[i]
-        is_wall = _in_wall(y, z, at[i], end, thresholds)
-        before = abs(ahead[i]) - abs(y)
-        is_before = (ahead[i] != nothing) & (before >= -STRIP_M) & (before <= before_m) & is_here
-        beyond = abs(y) - wall
-        is_roof = (
-            (wall != nothing)
-            & (beyond >= -front_m)
-            & (beyond <= roof_m)
-            & (end - z + h >= storey_m)
-            & is_here
-        )
-        is_soft = texture < (share_before if is_before | is_roof else leaf_share)
-        is_facade = is_roof & (beyond <= behind_m) & (end > nothing)
-        is_rough = is_soft & (not ((is_wall & is_here) | is_facade))
-        is_car = (h >= nothing) & (h < (rough_below[i] if is_rough else car_below[i])) & is_here
-        label = _FACADE if is_soft else _SMOOTH
-        label = _ONE_LEAF if is_leaf else label
-        label = _FOLIAGE if is_rough else label
-        label = _LEVEL_BODY if is_car else label
-        is_bare = smooth[i] == 0
-        is_past = (wall != nothing) & (z * wall <= end * abs(y)) & is_here
-        is_far = ((beyond > ghost_m) & is_rough) | ((beyond > behind_m) & is_bare)
-        is_lost = is_bare & is_car & (np.float32(near[i]) < least)
-        is_behind = is_past & is_far & (np.float32(near[i]) < ghost_near)
-        is_ghost = is_behind | is_lost
-        label = _IN_CAR if is_lost else label
-        label = _BEHIND_WALL if is_behind else label
-        is_sure = is_here & (not is_ghost)
-        is_small = is_sure & (alone[i] >= SMALL) & ((texture >= leaf_share) | is_car)
-        label = (_SMOOTH if alone[i] == FENCE else _SMALL) if is_small else label
-        is_open = labels[i] >= np.uint8(_ODD)
-        labels[i] = label if is_open else labels[i]
-        is_thin = alone[i] == THIN
-        is_piece = (alone[i] != np.uint8(0)) & (alone[i] < SMALL)
-        is_up = (level[i] == 0) | (h > arm_m)
-        is_part = is_wall | (is_car & (not is_thin))
-        may_be_pole = is_piece & is_up & (h > foot) & (texture >= leaf_share) & (not is_part)
-        poles[i] = np.uint8(is_open & is_sure & (may_be_pole | (alone[i] == COLUMN)) & poles_wanted)
-
-
-@helper
-def _round_run(
-    ranges: F32,
-    points: tuple[F32, F32, F32],
-    alone: U8,
-    i: int,
-    thresholds: DecisionThresholds,
-) -> tuple[int, bool]:
-    """Return the end of the run of a shot that stands alone, and whether it is as deep as the front half of a trunk.
-
-    A slanted plane cuts an upright round thing from edge to edge, in an ellipse: it is seen as deep
-    as its radius, and at least three times as high. What is deeper than that is something else, as
-    is what goes up the whole line.
-    """
-    side, height, _ = points
-    first = i
-    end = i + 1
-    jump = thresholds.jump_m
-    while end < len(alone) and 0 < alone[end] < SMALL and abs(ranges[end] - ranges[end - 1]) < jump:
-        end += 1
-    while (
-        first > 0 and 0 < alone[first - 1] < SMALL and abs(ranges[first - 1] - ranges[first]) < jump
-    ):
-        first -= 1
-    deep = side[first:end].max() - side[first:end].min()
-    tall = height[first:end].max() - height[first:end].min()
-    is_round = (deep >= thresholds.thick_m) & (deep < np.float32(0.5) * tall)
-    return end, bool(is_round & (tall < np.float32(2.0) * thresholds.pole_m))
-
-
-@helper
-def _label_poles(
-    shots: I32,
-    window_m: F32,
-    line: int,
-    level: U8,
-    points: tuple[F32, F32, F32],
-    alone: U8,
-    rough: Slots,
-    thresholds: DecisionThresholds,
-    labels: U8,
-) -> None:
-    """Label a list of shots on poles and trunks.
-
-    Of a piece of few shots only whether it is in a crown is known.
-    """
-    side, _, above = points
-    end = 0
-    is_round = False
-    for k in range(len(shots)):
-        i = shots[k]
-        if i >= end:
-            end, is_round = _round_run(window_m[line], points, alone, i, thresholds)
-        crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
-        if crown >= thresholds.crown_slots:
-            labels[i] = _CROWN
-        elif alone[i] != FEW:
-            deep_m = _depth_across(window_m, line, i, thresholds.jump_m) * (
-                abs(side[i]) / window_m[line, i]
-            )
-            upright = _POST if level[i] == 0 or alone[i] == COLUMN else _ARM
-            labels[i] = _TRUNK if is_round or deep_m >= thresholds.thick_m else upright
-
-
-@inlined
-def _is_thing(rule: np.uint8) -> bool:
-    """Return whether a rule is that of a thing above the ground."""
-    label = rule & _LABEL
-    return bool((label != _MISSING) & (label != _NOISE) & (label != _GROUND))
-
-
-@inlined
-def _is_soil(rule: np.uint8) -> bool:
-    return bool(rule & _LABEL == _GROUND)
-
-
-@helper
-def _mark_tops(
-    above: F32,
-    counts: tuple[U8, U8, U8, U8],
-    labels: U8,
-    thresholds: DecisionThresholds,
-    marks: U8,
-) -> None:
-    """Mark the shots of a line that may be on the top of a box: low, smooth and level."""
-    _, smooth, upright, level = counts
-    foot = thresholds.foot_m
-    top = thresholds.box_m
-    for i in range(len(labels)):
-        is_low = (above[i] > foot) & (above[i] < top)
-        is_level = (level[i] > upright[i]) & (smooth[i] >= BOX_SMOOTH)
-        marks[i] = np.uint8(is_low & is_level & _is_thing(labels[i]))
-
-
-@inlined
-def _lines_beside(
-    window_m: F32,
-    line: int,
-    i: int,
-    way: int,
-    thresholds: DecisionThresholds,
-) -> int:
-    """Return how many lines to one side see a thing in the direction of a shot, if those beyond see past it.
-
-    Otherwise :data:`MARGIN`. Single lines do not count: they see background light, or look through
-    a pane.
-    """
-    last = window_m[line, i]
-    n = odd = past = 0
-    for k in range(1, MARGIN + 1):
-        there = window_m[line + way * k, i]
-        if abs(there - last) < thresholds.jump_m:
-            last = there
-            n = k
-            odd = 0
-            past = 0
-            continue
-        odd += 1
-        past += not (there <= last + thresholds.far_m)
-        if odd == BOX_ODD:
-            return n if past >= BOX_ODD - 1 else MARGIN
-    return MARGIN
-
-
-@helper
-def _end_of_box(
-    ranges: F32,
-    near: U8,
-    points: tuple[F32, F32, F32],
-    labels: U8,
-    i: int,
-    way: int,
-    thresholds: DecisionThresholds,
-) -> tuple[int, int]:
-    """Follow a box along its line to one side.
-
-    Return its last shot, and the next one, -1 = none close by.
-
-    The next one is the last itself where it is no box: too high, or cut off by the end of the line.
-    """
-    _, _, above = points
-    last = i
-    j = i + way
-    gap = 0
-    while 0 <= j < len(ranges):
-        is_other = not _is_thing(labels[j]) and not _is_soil(labels[j])
-        if is_other or np.float32(near[j]) < thresholds.least_near:
-            gap += 1
-            if gap > GAP_SHOTS:
-                return last, -1
-        elif _is_soil(labels[j]) or not abs(ranges[j] - ranges[last]) < thresholds.jump_m:
-            return last, j
-        elif above[j] >= thresholds.box_m:
-            return last, last
-        else:
-            last = j
-            gap = 0
-        j += way
-    return last, last
-
-
-@helper
-def _is_box(
-    window_m: F32,
-    line: int,
-    i: int,
-    ends: tuple[int, int],
-    points: tuple[F32, F32, F32],
-    smooth: U8,
-    labels: U8,
-    thresholds: DecisionThresholds,
-) -> bool:
-    """Return whether the shots from one to another are a bin or a cabinet.
-
-    Small to all sides, with a level top.
-    """
-    side, _, above = points
-    first, last = ends
-    high = inner_top = inner = np.float32(np.inf)
-    high, outer, outer_top = -high, -high, -high
-    n = n_smooth = 0
-    for j in range(first, last + 1):
-        if _is_thing(labels[j]):
-            high = max(high, above[j])
-            inner = min(inner, abs(side[j]))
-            outer = max(outer, abs(side[j]))
-            n += 1
-            n_smooth += smooth[j] >= BOX_SMOOTH
-    deep = outer - inner
-    if (
-        np.float32(n) < thresholds.pole_shots
-        or deep > thresholds.box_deep_m
-        or deep < thresholds.box_flat_m
-    ):
-        return False
-    for j in range(first, last + 1):
-        if _is_thing(labels[j]) and above[j] > high - BOX_EVEN_M:
-            inner_top = min(inner_top, abs(side[j]))
-            outer_top = max(outer_top, abs(side[j]))
-    if outer_top - inner_top < thresholds.box_flat_m or np.float32(
-        n_smooth
-    ) < BOX_SHARE * np.float32(n):
-        return False
-    before = _lines_beside(window_m, line, i, -1, thresholds)
-    if before == MARGIN or np.float32(before) > thresholds.box_lines:
-        return False
-    after = _lines_beside(window_m, line, i, 1, thresholds)
-    return bool(after < MARGIN and np.float32(before + after) <= thresholds.box_lines)
-
-
-@helper
-def _label_boxes(
-    shots: I32,
-    window_m: F32,
-    line: int,
-    counts: tuple[U8, U8, U8, U8],
-    points: tuple[F32, F32, F32],
-    thresholds: DecisionThresholds,
-    labels: U8,
-) -> None:
-    """Label the boxes whose tops are in a list: bins and cabinets.
-
-    They stand alone: beyond their tops something far is seen, or nothing, and what is below them is
-    ground.
-    """
-    ranges = window_m[line]
-    height = points[1]
-    done = -1
-    for k in range(len(shots)):
-        i = shots[k]
-        if i <= done:
-            continue
-        first, before = _end_of_box(ranges, counts[0], points, labels, i, -1, thresholds)
-        last, after = _end_of_box(ranges, counts[0], points, labels, i, 1, thresholds)
-        done = last
-        if before == first or after == last:
-            continue
-        is_up = height[last] > height[first]
-        top, beyond, foot, below = (
-            (last, after, first, before) if is_up else (first, before, last, after)
-        )
-        if beyond >= 0 and ranges[beyond] <= ranges[top] + thresholds.far_m:
-            continue
-        if below >= 0 and not _is_soil(labels[below]) and ranges[below] < ranges[foot]:
-            continue
-        if _is_box(window_m, line, i, (first, last), points, counts[1], labels, thresholds):
-            for j in range(first, last + 1):
-                labels[j] = _BOX if _is_thing(labels[j]) else labels[j]
 
 
 @kernel()
 def fused_labels(
     window_m: F32_2,
     above_m: F32_2,
-    counts: tuple[U8_2, U8_2, U8_2, U8_2],
+    neighbours: Neighbours,
     walked: Mask_2,
     texture: F32_2,
-    slots: tuple[U64_2, U64_2],
-    walls: tuple[F32_2, F32_2, F32_2],
+    slots: FilledSlots,
+    walls: Walls,
     levels: U8_2,
-    alone: U8_2,
-    beams: tuple[F32_1, F32_1],
-    step: np.float32,
+    kinds: U8_2,
+    beams: Beams,
+    step_rad: np.float32,
     thresholds: DecisionThresholds,
 ) -> U8_2:
     """Give every shot of consecutive lines the rule that decides on it (:class:`~prc_cli.core.classes.Reason`).
 
-    ``window_m`` (lines + 40, M) float32, metres; ``above_m`` (lines + 4, M) float32, metres;
-    ``counts`` tuple of (lines + 4, M) uint8; ``walked`` (lines + 4, M) bool; ``texture`` (lines, M)
-    float32; ``slots`` tuple of (lines, STRIPS) uint64; ``walls`` tuple of (lines, STRIPS) float32,
-    metres; ``levels`` (lines, 2 STRIPS) uint8; ``alone`` (lines, M) uint8; ``beams`` tuple of (M,)
-    float32; returns (lines, M) uint8.
+    ``window_m`` (lines + 40, M) float32, metres; ``above_m``, ``neighbours`` and ``walked`` (lines
+    + 4, M); ``texture`` (lines, M) float32, shares; ``slots`` and ``walls`` (lines, STRIPS);
+    ``levels`` (lines, 2 STRIPS) uint8; ``kinds`` (lines, M) uint8; returns (lines, M) uint8.
     """
     n_lines, m = texture.shape
-    near, smooth, upright, level = counts
+    near, smooth, upright, level = neighbours
     labels = np.empty((n_lines, m), np.uint8)
     shots = np.empty(m + 1, np.int32)
     marks = np.empty(m, np.uint8)
     bin_counts = np.empty(2 * STRIPS, np.uint8)
-    cars = (np.empty(2 * STRIPS, np.float32), np.empty(2 * STRIPS, np.float32))
-    columns = np.empty(m, np.int32)
-    bins = np.empty(m, np.int32)
-    so_far = np.empty(m + 1, np.uint32)
-    found = (
+    cars = CarTops(np.zeros(BEYOND + 1, np.float32), np.zeros(BEYOND + 1, np.float32))
+    walls_of_line = Walls(
+        np.zeros(STRIPS + 1, np.float32),
+        np.zeros(STRIPS + 1, np.float32),
+        np.zeros(STRIPS + 1, np.float32),
+    )
+    half_widths = np.empty(m, np.int32)
+    count_sums = np.empty(m + 1, np.uint32)
+    side_m = np.empty(m, np.float32)
+    height_m = np.empty(m, np.float32)
+    beside = Beside(
+        np.empty(m, np.int32),
         np.zeros(m, np.float32),
         np.zeros(m, np.float32),
         np.zeros(m, np.float32),
         np.zeros(m, np.float32),
         np.zeros(m, np.float32),
     )
-    side = np.empty(m, np.float32)
-    height = np.empty(m, np.float32)
+    around = Surroundings(np.empty(m, np.bool_), np.empty(m, np.bool_), np.empty(m, np.bool_))
     # ring buffer of lines
-    pairs = np.empty((3, m), np.uint32)
-    for line in range(2):
-        _count_pairs(
-            near[line + LINES - 1], smooth[line + LINES - 1], thresholds.least_near, pairs[line]
-        )
-    for line in range(n_lines):
-        k = line + LINES
-        row = labels[line]
-        own = (near[k], smooth[k], upright[k], level[k])
-        ranges = window_m[line + MARGIN]
-        _lay_out(ranges, beams, side, height)
-        place = side, height, above_m[k]
-        rows = walls[0][line], walls[1][line], walls[2][line]
-        rough = slots[1][line]
-        _label_plain(ranges, place[2], own, walked[k], thresholds, row)
-        n = _list_marked(row, _ODD, _ODD, shots)
-        _count_pairs(near[k + 1], smooth[k + 1], thresholds.least_near, pairs[(line + 2) % 3])
-        _sum_up_three(pairs[0], pairs[1], pairs[2], so_far)
-        _half_widths(ranges, step, SPIKE_PLACE_M, SPIKE_COLUMNS, columns)
-        _label_odd(
-            shots[:n],
-            place,
-            own,
+    counts = np.empty((3, m), np.uint32)
+    least = thresholds.least_near
+    for k in range(LINES - 1, LINES + 1):
+        _count_pairs(near[k], smooth[k], least, counts[k - LINES + 1])
+    for n in range(n_lines):
+        k = n + LINES
+        row = n + MARGIN
+        range_m = window_m[row]
+        rules = labels[n]
+        rough_slots = slots.by_rough[n]
+        line = Line(
+            range_m,
+            side_m,
+            height_m,
+            above_m[k],
+            near[k],
+            smooth[k],
+            upright[k],
+            level[k],
             walked[k],
-            (rough, rows[0], rows[1]),
-            (columns, so_far),
+            texture[n],
+            kinds[n],
+        )
+        _lay_out(range_m, beams, side_m, height_m)
+        _label_clear_shots(line, thresholds, rules)
+
+        _find_cars(slots.by_any[n], levels[n], bin_counts, thresholds, cars)
+        _bins(side_m, beside.bin)
+        n_shots = _list_marked(rules, _DOUBTFUL, _OPEN, shots)
+        _copy_walls(walls, n, walls_of_line)
+        _look_beside(shots[:n_shots], walls_of_line, cars, beside)
+
+        _count_pairs(near[k + 1], smooth[k + 1], least, counts[(n + 2) % 3])
+        _sum_up_three(counts[0], counts[1], counts[2], count_sums)
+        _half_widths(range_m, step_rad, half_widths)
+        _label_doubtful_shots(
+            shots[:n_shots],
+            line,
+            beside,
+            rough_slots,
+            half_widths,
+            count_sums,
             thresholds,
-            row,
+            rules,
         )
-        n = _list_marked(row, _ODD, _OPEN, shots)
-        _find_cars(slots[0][line], levels[line], bin_counts, thresholds, cars)
-        _bins(place[0], bins)
-        _look_up(shots[:n], bins, rows, cars, found)
-        _label_things(place, own, texture[line], bins, found, alone[line], thresholds, row, marks)
-        n = _list_marked(marks, 1, 1, shots)
-        _label_poles(
-            shots[:n], window_m, line + MARGIN, own[3], place, alone[line], rough, thresholds, row
+
+        _label_reflections(line, beside, thresholds, around, rules, marks)
+        n_shots = _list_marked(marks, _MARKED, _MARKED, shots)
+        _label_uprights(
+            shots[:n_shots], window_m, row, line, beside, rough_slots, thresholds, rules
         )
-        _mark_tops(place[2], own, row, thresholds, marks)
-        n = _list_marked(marks, 1, 1, shots)
-        _label_boxes(shots[:n], window_m, line + MARGIN, own, place, thresholds, row)
+
+        _label_surfaces(line, beside, around, thresholds, rules)
+
+        _mark_tops(line, rules, thresholds, marks)
+        n_shots = _list_marked(marks, _MARKED, _MARKED, shots)
+        _label_boxes(shots[:n_shots], window_m, row, line, thresholds, rules)
     return labels

@@ -23,9 +23,9 @@ from prc_cli.core.classes import Label
 from prc_cli.core.profile import stage
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, I32, I64, U8
-from prc_cli.methods.fused.neighbours import Neighbours
 from prc_cli.methods.fused.plane import ScanPlane
-from prc_cli.methods.fused.strips import Standing
+from prc_cli.methods.fused.records import Neighbours
+from prc_cli.methods.fused.strips import Strips
 from prc_cli.methods.returns import label_extra_returns
 
 Environment = Literal["urban", "forest"]
@@ -94,15 +94,15 @@ class Evidence:
     Of its lines alone, but for ``margin`` more before and after.
     """
 
-    seen: Neighbours
+    neighbours: Neighbours
     above_m: F32
-    """Above the ground in the scan plane [m]; of more lines, as ``seen``."""
+    """Above the ground in the scan plane [m]; of more lines, as ``neighbours``."""
     texture: F32
     """Of one line more before and after."""
-    standing: Standing
+    strips: Strips
     """Of one line more before and after."""
     margin: int
-    """Lines of ``seen`` and ``above_m`` before and after the block."""
+    """Lines of ``neighbours`` and ``above_m`` before and after the block."""
 
 
 @stage("confidence")
@@ -117,18 +117,16 @@ def cells_of(
 
     ``labels`` (lines, M) uint8; ``range_m`` (lines, M) float32, metres; returns (lines, M) int32.
     """
-    own = slice(evidence.margin, evidence.margin + len(labels))
-    beside = slice(1, 1 + len(labels))
-    standing = evidence.standing
-    (near, smooth, upright, level) = evidence.seen.counts
+    lines = slice(evidence.margin, evidence.margin + len(labels))
+    strip_lines = slice(1, 1 + len(labels))
     cells: I32 = kernels.confidence_cells(
         labels,
         np.ascontiguousarray(range_m),
-        evidence.above_m[own],
-        evidence.texture[beside],
-        (near[own], smooth[own], upright[own], level[own]),
-        (standing.slots[0][beside], standing.slots[1][beside]),
-        (standing.walls[0][beside], standing.walls[2][beside]),
+        evidence.above_m[lines],
+        evidence.texture[strip_lines],
+        evidence.neighbours.of_lines(lines),
+        evidence.strips.slots.of_lines(strip_lines),
+        evidence.strips.walls.of_lines(strip_lines),
         plane.beams,
         plane.step_rad,
         _groups(),
@@ -149,8 +147,8 @@ def confidence_of(labels: U8, cells: I32, table: U8) -> U8:
     >>> confidence_of(np.array([[3, 0]], np.uint8), np.array([[2, 1]], np.int32), table)
     array([[80,  0]], dtype=uint8)
     """
-    found: U8 = table.ravel()[labels.astype(np.intp) * table.shape[1] + cells]
-    return found
+    confidence: U8 = table.ravel()[labels.astype(np.intp) * table.shape[1] + cells]
+    return confidence
 
 
 def of_further_returns(block: ScanBlock, confidence: U8, limit_m: float) -> U8:

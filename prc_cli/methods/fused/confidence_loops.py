@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import Label
-from prc_cli.core.types import F32, F32_1, F32_2, I32, I32_2, I64, I64_1, I64_2, U8, U8_2, U64_2
+from prc_cli.core.types import F32, F32_2, I32, I32_2, I64, I64_1, I64_2, U8, U8_2
 from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.methods.fused.records import Beams, FilledSlots, Neighbours, Walls
 
 Words = NDArray[np.uint64]
 
@@ -77,7 +78,7 @@ def _sum_up(
     lines: Words,
     first: int,
     last: int,
-    so_far: Words,
+    sums_before: Words,
 ) -> None:
     """Write the sums of the first 0, 1, ... columns of some rows.
 
@@ -85,11 +86,11 @@ def _sum_up(
     """
     room = lines.shape[0]
     total = np.uint64(0)
-    so_far[0] = total
+    sums_before[0] = total
     for i in range(lines.shape[1]):
         for line in range(first, last):
             total += lines[line % room, i]
-        so_far[i + 1] = total
+        sums_before[i + 1] = total
 
 
 @helper
@@ -97,7 +98,7 @@ def _agree(
     ranges: F32,
     labels: U8,
     groups: I64,
-    so_far: Words,
+    sums_before: Words,
     step: np.float32,
     agrees: F32,
 ) -> None:
@@ -113,14 +114,14 @@ def _agree(
             agrees[i] = np.float32(0.0)
             continue
         half = int(min(max(PLACE_M / (ranges[i] * step), LEAST_COLUMNS), MOST_COLUMNS))
-        word = so_far[min(i + half + 1, m)] - so_far[max(i - half, 0)]
+        word = sums_before[min(i + half + 1, m)] - sums_before[max(i - half, 0)]
         total = np.uint64(0)
-        own = np.uint64(0)
+        same = np.uint64(0)
         for k in range(N_GROUPS):
             n = (word >> np.uint64(GROUP_BITS * k)) & ones
-            own = n if k == group else own
+            same = n if k == group else same
             total += n if (k != NOISE_GROUP) | (group == NOISE_GROUP) else np.uint64(0)
-        agrees[i] = np.float32(own) / np.float32(total)
+        agrees[i] = np.float32(same) / np.float32(total)
 
 
 @inlined
@@ -161,11 +162,11 @@ def _measure_places(
     ranges: F32,
     sine: F32,
     strips: F32,
-    walls: tuple[F32, F32],
+    wall_m: F32,
+    ahead_m: F32,
     measures: F32,
 ) -> None:
     """Write what the strips of a line's shots hold, and where their walls are."""
-    at, ahead = walls
     for i in range(len(ranges)):
         y = ranges[i] * sine[i]
         # limited before it becomes an integer: ranges may be any number
@@ -179,8 +180,8 @@ def _measure_places(
         measures[ROUGH, i] = strips[0, b]
         measures[TOP, i] = strips[1, b]
         measures[FILLED, i] = strips[2, b]
-        wall = at[b] if b < STRIPS else np.float32(0.0)
-        before = ahead[b] if b < STRIPS else np.float32(0.0)
+        wall = wall_m[b] if b < STRIPS else np.float32(0.0)
+        before = ahead_m[b] if b < STRIPS else np.float32(0.0)
         measures[BEHIND, i] = abs(y) - abs(wall) if wall != np.float32(0.0) else -NO_WALL_M
         measures[AHEAD, i] = abs(before) - abs(y) if before != np.float32(0.0) else NO_WALL_M
 
@@ -190,12 +191,12 @@ def _measure_shots(
     ranges: F32,
     above: F32,
     texture: F32,
-    counts: tuple[U8, U8, U8, U8],
+    neighbours: Neighbours,
     cosine: F32,
     measures: F32,
 ) -> None:
     """Write the measures of a line that need nothing but the shot and those beside it."""
-    near, smooth, upright, level = counts
+    near, smooth, upright, level = neighbours
     m = len(ranges)
     for i in range(m):
         measures[SMOOTH, i] = np.float32(smooth[i])
@@ -244,10 +245,10 @@ def confidence_cells(
     range_m: F32_2,
     above_m: F32_2,
     texture: F32_2,
-    counts: tuple[U8_2, U8_2, U8_2, U8_2],
-    slots: tuple[U64_2, U64_2],
-    walls: tuple[F32_2, F32_2],
-    beams: tuple[F32_1, F32_1],
+    neighbours: Neighbours,
+    slots: FilledSlots,
+    walls: Walls,
+    beams: Beams,
     step: np.float32,
     groups: I64_1,
     questions: I64_2,
@@ -256,8 +257,8 @@ def confidence_cells(
     """Find which steps of its label's measures every shot reaches.
 
     ``labels`` (lines, M) uint8; ``range_m, above_m`` (lines, M) float32, metres; ``texture``
-    (lines, M) float32; ``counts`` tuple of (lines, M) uint8; ``slots`` tuple of (lines, STRIPS)
-    uint64; ``walls`` tuple of (lines, STRIPS) float32, metres; ``beams`` tuple of (M,) float32;
+    (lines, M) float32; ``neighbours`` (lines, M) uint8; ``slots`` and ``walls`` (lines,
+    STRIPS); ``beams`` (M,) float32;
     ``groups`` (number of labels,) int64; ``questions`` (number of labels, n) int64; ``limits``
     (measures, k) float32; returns (lines, M) int32.
     """
@@ -266,21 +267,23 @@ def confidence_cells(
     room = 2 * LINES + 1
     # ring buffer of lines
     words = np.empty((room, m), np.uint64)
-    so_far = np.empty(m + 1, np.uint64)
+    sums_before = np.empty(m + 1, np.uint64)
     strips = np.empty((3, STRIPS + 1), np.float32)
     measures = np.empty((N_MEASURES, m), np.float32)
-    near, smooth, upright, level = counts
+    near, smooth, upright, level = neighbours
     sine, cosine = beams
     for line in range(min(LINES, n_lines)):
         _count_groups(labels[line], groups, words[line % room])
     for line in range(n_lines):
         if line + LINES < n_lines:
             _count_groups(labels[line + LINES], groups, words[(line + LINES) % room])
-        _sum_up(words, max(line - LINES, 0), min(line + LINES + 1, n_lines), so_far)
-        _agree(range_m[line], labels[line], groups, so_far, step, measures[AGREE])
-        own = near[line], smooth[line], upright[line], level[line]
-        _measure_shots(range_m[line], above_m[line], texture[line], own, cosine, measures)
-        _measure_strips(slots[0][line], slots[1][line], strips)
-        _measure_places(range_m[line], sine, strips, (walls[0][line], walls[1][line]), measures)
+        _sum_up(words, max(line - LINES, 0), min(line + LINES + 1, n_lines), sums_before)
+        _agree(range_m[line], labels[line], groups, sums_before, step, measures[AGREE])
+        counts = Neighbours(near[line], smooth[line], upright[line], level[line])
+        _measure_shots(range_m[line], above_m[line], texture[line], counts, cosine, measures)
+        _measure_strips(slots.by_any[line], slots.by_rough[line], strips)
+        _measure_places(
+            range_m[line], sine, strips, walls.side_m[line], walls.ahead_m[line], measures
+        )
         _answer(labels[line], measures, limits, questions, cells[line])
     return cells

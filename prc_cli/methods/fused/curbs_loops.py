@@ -8,8 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.classes import Label
-from prc_cli.core.types import F32, F32_1, F32_2, I32, U8, U8_2
+from prc_cli.core.types import F32, F32_2, I32, U8, U8_2
 from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.methods.fused.records import Beams
 from prc_cli.methods.fused.thresholds import CurbThresholds
 
 APART = 2
@@ -31,10 +32,12 @@ def _mark_climbing(
     ranges: F32,
     above: F32,
     labels: U8,
-    beams: tuple[F32, F32],
+    beams: Beams,
     outwards: F32,
-    limits: tuple[np.float32, np.float32],
-    points: tuple[F32, F32],
+    most_m: np.float32,
+    climb: np.float32,
+    side: F32,
+    height: F32,
     low: U8,
     climbs: U8,
 ) -> None:
@@ -43,24 +46,24 @@ def _mark_climbing(
     Places are NaN but near the ground. Without branches, so that the compiler can use vector
     instructions.
     """
-    most, climb = limits
-    side, height = points
     m = len(ranges)
     for i in range(m):
-        height[i] = -(ranges[i] * beams[1][i])
+        height[i] = -(ranges[i] * beams.cosine[i])
     for i in range(m):
-        low[i] = np.uint8((abs(above[i]) < most) & (labels[i] != _MISSING) & (labels[i] != _NOISE))
+        low[i] = np.uint8(
+            (abs(above[i]) < most_m) & (labels[i] != _MISSING) & (labels[i] != _NOISE)
+        )
     for i in range(m):
-        side[CHUNK + i] = ranges[i] * beams[0][i] if low[i] != 0 else np.float32(np.nan)
+        side[CHUNK + i] = ranges[i] * beams.sine[i] if low[i] != 0 else np.float32(np.nan)
     for i in range(m):
         climbs[i] = np.uint8(0)
     inner = m - 2 * APART
     before = height[:inner]
     after = height[2 * APART :]
-    own = ranges[APART : m - APART]
+    inner_m = ranges[APART : m - APART]
     marks = climbs[APART : m - APART]
     for i in range(inner):
-        marks[i] = np.uint8((after[i] - before[i]) * outwards[i] >= climb * own[i])
+        marks[i] = np.uint8((after[i] - before[i]) * outwards[i] >= climb * inner_m[i])
     for i in range(m):
         climbs[i] &= low[i]
 
@@ -143,15 +146,15 @@ def _after(
 def _mean_height(
     i: int,
     way: int,
-    place: tuple[int, np.float32],
-    points: tuple[F32, F32],
+    first: int,
+    side: F32,
+    height: F32,
     low: U8,
     labels: U8,
     thresholds: CurbThresholds,
 ) -> tuple[np.float32, int]:
     """Return the mean height of the ground beside a face, from a column on, and how many shots it is of."""
-    side, height = points
-    first, y = place
+    y = side[CHUNK + i]
     total = np.float32(0.0)
     n = 0
     j = first
@@ -176,7 +179,7 @@ def curb_labels(
     labels: U8_2,
     range_m: F32_2,
     above_m: F32_2,
-    beams: tuple[F32_1, F32_1],
+    beams: Beams,
     step: np.float32,
     thresholds: CurbThresholds,
 ) -> U8_2:
@@ -185,35 +188,46 @@ def curb_labels(
     A shot near the ground is on a face if the line climbs there, and the ground is higher beyond it
     than before it, most of that within the width of the face, and the shot is between both heights.
 
-    ``labels`` (lines, M) uint8; ``range_m, above_m`` (lines, M) float32, metres; ``beams`` tuple of
-    (M,) float32; returns (lines, M) uint8.
+    ``labels`` (lines, M) uint8; ``range_m, above_m`` (lines, M) float32, metres; ``beams`` (M,)
+    float32; returns (lines, M) uint8.
     """
     n_lines, m = labels.shape
-    found = np.empty((n_lines, m), np.uint8)
+    curbs = np.empty((n_lines, m), np.uint8)
     height = np.empty(m, np.float32)
     low = np.empty(m, np.uint8)
     climbs = np.empty(m, np.uint8)
     side: F32 = np.empty(m + 2 * CHUNK, np.float32)
     for i in range(CHUNK):
         side[i] = side[CHUNK + m + i] = np.float32(np.nan)
-    points = side, height
     shots: I32 = np.empty(m + 1, np.int32)
-    cosine = beams[1]
+    cosine = beams.cosine
     # whether columns run outwards, 1, or inwards, -1
     ways = np.ones(max(m - 2 * APART, 0), np.float32)
     for i in range(len(ways)):
         if not cosine[i + 2 * APART] < cosine[i]:
             ways[i] = np.float32(-1.0)
-    limits = thresholds.most_m, thresholds.steep * step
+    climb = thresholds.steep * step
     for line in range(n_lines):
-        own = labels[line]
-        row = found[line]
+        before_curbs = labels[line]
+        row = curbs[line]
         ranges = range_m[line]
         for i in range(m):
-            row[i] = own[i]
+            row[i] = before_curbs[i]
         if m <= 2 * APART:
             continue
-        _mark_climbing(ranges, above_m[line], own, beams, ways, limits, points, low, climbs)
+        _mark_climbing(
+            ranges,
+            above_m[line],
+            before_curbs,
+            beams,
+            ways,
+            thresholds.most_m,
+            climb,
+            side,
+            height,
+            low,
+            climbs,
+        )
         n = 0
         for i in range(m):
             shots[n] = i
@@ -236,8 +250,12 @@ def curb_labels(
                 or height[outer] - height[inner] < thresholds.share * thresholds.least_m
             ):
                 continue
-            foot, n_foot = _mean_height(i, -outwards, (inner, y), points, low, own, thresholds)
-            top, n_top = _mean_height(i, outwards, (outer, y), points, low, own, thresholds)
+            foot, n_foot = _mean_height(
+                i, -outwards, inner, side, height, low, before_curbs, thresholds
+            )
+            top, n_top = _mean_height(
+                i, outwards, outer, side, height, low, before_curbs, thresholds
+            )
             rise = top - foot
             if n_foot == 0 or n_top == 0 or rise < thresholds.least_m or rise > thresholds.most_m:
                 continue
@@ -246,4 +264,4 @@ def curb_labels(
             )
             if is_between & (height[outer] - height[inner] >= thresholds.share * rise):
                 row[i] = np.uint8(_CURB)
-    return found
+    return curbs

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.classes import Label
-from prc_cli.core.types import F32, F32_1, F32_2, I32, I32_1, U8, U8_2
+from prc_cli.core.types import F32, F32_1, F32_2, I32, U8, U8_2
 from prc_cli.kernels.cache import helper, kernel
+from prc_cli.methods.fused.records import Sides
 from prc_cli.methods.fused.thresholds import FanThresholds
 
 LINES = 12
@@ -181,15 +182,15 @@ def _is_car(
     low = max(line - LINES, 0)
     high = min(line + LINES + 1, seeds.shape[1] - 1)
     most = 0
-    at = -1
+    most_bin = -1
     for q in range(first, last):
         n = seeds[q, high] - seeds[q, low]
         if n > most:
             most = n
-            at = q
+            most_bin = q
     if most < 2:
         return False
-    others = things[at, high] - things[at, low]
+    others = things[most_bin, high] - things[most_bin, low]
     return bool(np.float32(most) >= thresholds.share * np.float32(most + others))
 
 
@@ -200,9 +201,9 @@ def fan_cars(
     above_m: F32_2,
     texture: F32_2,
     sine: F32_1,
-    sides: tuple[I32_1, I32_1],
+    sides: Sides,
     before: U8_2,
-    n_own: int,
+    n_labelled: int,
     thresholds: FanThresholds,
 ) -> tuple[U8_2, U8_2]:
     """Label cars where shots are far apart, as in fans of rings.
@@ -213,11 +214,11 @@ def fan_cars(
     cars.
 
     ``labels`` (lines, M) uint8; ``range_m, above_m`` (lines, M) float32, metres; ``texture``
-    (lines, M) float32; ``sine`` (M,) float32; ``sides`` tuple of (n,) int32; ``before`` (LINES, 2
-    BINS) uint8; returns ``labels`` (n_own, M) uint8, ``marks`` (LINES, 2 BINS) uint8.
+    (lines, M) float32; ``sine`` (M,) float32; ``sides`` (n,) int32; ``before`` (LINES, 2
+    BINS) uint8; returns ``labels`` (n_labelled, M) uint8, ``marks`` (LINES, 2 BINS) uint8.
     """
     n_lines, m = labels.shape
-    found = np.empty((n_own, m), np.uint8)
+    with_cars = np.empty((n_labelled, m), np.uint8)
     n = n_lines + LINES
     marks = np.zeros((2 * BINS, n), np.uint8)
     side = np.empty(m, np.float32)
@@ -233,10 +234,17 @@ def fan_cars(
             side[i] = range_m[k, i] * sine[i]
         for way in range(2):
             row = 2 * k + way
-            there = shots[row, : _list_present(range_m[k], sides[way], shots[row])]
-            own = marks[way * BINS : (way + 1) * BINS, k + LINES]
+            present = shots[row, : _list_present(range_m[k], sides[way], shots[row])]
+            marks_of_line = marks[way * BINS : (way + 1) * BINS, k + LINES]
             n_things[row] = _mark_side(
-                there, labels[k], side, above_m[k], texture[k], thresholds, own, low_things[row]
+                present,
+                labels[k],
+                side,
+                above_m[k],
+                texture[k],
+                thresholds,
+                marks_of_line,
+                low_things[row],
             )
     seeds = np.empty((2 * BINS, n + 1), np.int32)
     things = np.empty((2 * BINS, n + 1), np.int32)
@@ -245,22 +253,22 @@ def fan_cars(
         _sum_up(marks[q], _THING, things[q])
     car = np.uint8(_CAR)
     pole = np.uint8(_POLE)
-    for k in range(n_own):
+    for k in range(n_labelled):
         for i in range(m):
-            found[k, i] = labels[k, i]
+            with_cars[k, i] = labels[k, i]
         for way in range(2):
             row = 2 * k + way
-            for one in range(n_things[row]):
-                first = low_things[row, one, 0]
-                end = low_things[row, one, 1]
-                low_bin = way * BINS + low_things[row, one, 2]
-                high_bin = way * BINS + low_things[row, one, 3]
+            for thing in range(n_things[row]):
+                first = low_things[row, thing, 0]
+                end = low_things[row, thing, 1]
+                low_bin = way * BINS + low_things[row, thing, 2]
+                high_bin = way * BINS + low_things[row, thing, 3]
                 if _is_car(seeds, things, low_bin, high_bin, k + LINES, thresholds):
                     for j in range(first, end):
                         i = shots[row, j]
-                        found[k, i] = pole if labels[k, i] == pole else car
+                        with_cars[k, i] = pole if labels[k, i] == pole else car
     after = np.empty((LINES, 2 * BINS), np.uint8)
     for line in range(LINES):
         for q in range(2 * BINS):
-            after[line, q] = marks[q, n_own + line]
-    return found, after
+            after[line, q] = marks[q, n_labelled + line]
+    return with_cars, after

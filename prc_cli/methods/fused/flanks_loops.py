@@ -6,32 +6,29 @@ Upright surfaces with ground beneath them.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from prc_cli.core.types import F32, F32_1, F32_2, I32, U8, U8_2, U64_2
+from prc_cli.core.types import F32, F32_2, I32, U8, U8_2, U64, U64_2
 from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.methods.fused.records import (
+    LORRY_BIN,
+    SLOT_M,
+    STRIP_M,
+    STRIPS,
+    Beams,
+    StripSums,
+)
 from prc_cli.methods.fused.thresholds import FlankThresholds
-
-Slots = NDArray[np.uint64]
 
 BIN_M = np.float32(0.125)
 """Width of a bin of ground, a quarter of a strip [m]."""
 LINES = 2
-STRIPS = 320
-STRIP_M = np.float32(0.5)
-SLOT_M = np.float32(0.25)
-"""As in :mod:`strips_loops`."""
+"""Lines before and after that are combined with a line."""
 BINS = 2 * STRIPS
 """Bins on either side."""
 LEVEL_BIN_M = np.float32(0.25)
 """Width of a bin of level surfaces [m]."""
 BODY_BINS = 6
 """Bins of level surfaces that are marked as the vehicle, from its flank on."""
-HANGS = 16
-"""Mark of the bins of bodies that hang higher.
-
-As many can be added up as are counted around a shot.
-"""
 MOST_SLOTS = 12
 """Slots in which the bottom of a body is looked for."""
 FEWER = 4
@@ -44,7 +41,7 @@ def _count_ground(
     ranges: F32,
     above: F32,
     upright: U8,
-    beams: tuple[F32, F32],
+    beams: Beams,
     soil_m: np.float32,
     bins: I32,
     depths: F32,
@@ -113,15 +110,15 @@ def _ground_behind(
 
 
 @inlined
-def _bottom(every: Slots, b: int, away: np.float32) -> np.float32:
+def _bottom(slots: U64, b: int, away: np.float32) -> np.float32:
     """Return how high above the ground a line sees anything at a flank, lower things at its foot included [m]."""
     half = STRIPS // 2
-    own = min(int(away / STRIP_M), half - 1)
-    nearer = max(own - 1, 0)
+    strip = min(int(away / STRIP_M), half - 1)
+    nearer = max(strip - 1, 0)
     word = (
-        every[half + own] | every[half + nearer]
+        slots[half + strip] | slots[half + nearer]
         if b >= half
-        else every[half - 1 - own] | every[half - 1 - nearer]
+        else slots[half - 1 - strip] | slots[half - 1 - nearer]
     )
     slot = 0
     while slot < MOST_SLOTS and (word >> np.uint64(slot)) & np.uint64(1) == np.uint64(0):
@@ -157,9 +154,9 @@ def find_flanks(
     range_m: F32_2,
     above_m: F32_2,
     upright: U8_2,
-    beams: tuple[F32_1, F32_1],
-    sums: tuple[F32_2, F32_2, F32_2],
-    every: U64_2,
+    beams: Beams,
+    sums: StripSums,
+    slots: U64_2,
     levels: U8_2,
     thresholds: FlankThresholds,
 ) -> tuple[U8_2, U8_2]:
@@ -168,14 +165,14 @@ def find_flanks(
     Ground is seen right beneath it, and none farther behind.
 
     ``range_m, above_m`` (lines + 4, M) float32, metres; ``upright`` (lines + 4, M) uint8; ``beams``
-    tuple of (M,) float32; ``sums`` tuple of (lines + 4, STRIPS) float32; ``every`` (lines + 4,
+    (M,) float32; ``sums`` (lines + 4, STRIPS) float32; ``slots`` (lines + 4,
     STRIPS) uint64; ``levels`` (lines, 2 STRIPS) uint8; returns ``flanks`` (lines, STRIPS) uint8,
     ``levels`` (lines, 2 STRIPS) uint8.
     """
-    length, wall, place = sums
+    wall = sums.wall_m
     n_lines = levels.shape[0]
     flanks = np.empty((n_lines, STRIPS), np.uint8)
-    found = np.empty((n_lines, 2 * STRIPS), np.uint8)
+    all_levels = np.empty((n_lines, 2 * STRIPS), np.uint8)
     # ring buffer of lines
     room = 2 * LINES + 1
     bins = np.empty((room, 2 * BINS), np.int32)
@@ -199,10 +196,10 @@ def find_flanks(
         if k < 2 * LINES:
             continue
         line = k - 2 * LINES
-        found[line] = levels[line]
-        _add_around(length, line, lines, lengths)
+        all_levels[line] = levels[line]
+        _add_around(sums.length_m, line, lines, lengths)
         _add_around(wall, line, lines, walls)
-        _add_around(place, line, lines, places)
+        _add_around(sums.wall_place, line, lines, places)
         for b in range(STRIPS):
             flanks[line, b] = 0
             if (
@@ -224,7 +221,7 @@ def find_flanks(
                 low, high = _ground_behind(bins[c % room], depths[c % room], side, away, thresholds)
                 beneath += low
                 beyond += high
-                bottom = _bottom(every[c], b, away)
+                bottom = _bottom(slots[c], b, away)
                 if thresholds.body_m <= bottom <= thresholds.high_m:
                     low, high = _ground_below(bins[c % room], depths[c % room], side, away, bottom)
                     below += low
@@ -243,9 +240,9 @@ def find_flanks(
             )
             if is_low or hangs:
                 flanks[line, b] = 1
-                at = int(min(away / LEVEL_BIN_M, _FAR))
-                for j in range(at, min(at + BODY_BINS, STRIPS)):
-                    found[line, STRIPS + j if side == 0 else STRIPS - 1 - j] |= np.uint8(
-                        HANGS | 1 if hangs else 1
+                first = int(min(away / LEVEL_BIN_M, _FAR))
+                for j in range(first, min(first + BODY_BINS, STRIPS)):
+                    all_levels[line, STRIPS + j if side == 0 else STRIPS - 1 - j] |= np.uint8(
+                        LORRY_BIN | 1 if hangs else 1
                     )
-    return flanks, found
+    return flanks, all_levels

@@ -9,8 +9,8 @@ import numpy as np
 from prc_cli import kernels
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, I32, Mask
-from prc_cli.methods.fused.neighbours import Neighbours
 from prc_cli.methods.fused.plane import ScanPlane
+from prc_cli.methods.fused.records import Neighbours, WalkMemory
 from prc_cli.methods.fused.thresholds import WalkThresholds
 
 BINS = 320
@@ -72,7 +72,7 @@ class Ground:
 @stage("ground")
 def follow_ground(
     range_m: F32,
-    seen: Neighbours,
+    neighbours: Neighbours,
     plane: ScanPlane,
     memory: GroundMemory,
     keep: int,
@@ -85,9 +85,9 @@ def follow_ground(
     above, walked, kept, start_m, lost, missed = kernels.walk_ground(
         range_m,
         plane.beams,
-        seen.counts,
-        (plane.left, plane.right),
-        (memory.height_m, memory.age, memory.level_shots, memory.level_m),
+        neighbours,
+        plane.sides,
+        WalkMemory(memory.height_m, memory.age, memory.level_shots, memory.level_m),
         np.float32(memory.start_m),
         memory.lost,
         memory.missed,

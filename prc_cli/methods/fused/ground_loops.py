@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.core.types import F32, F32_1, F32_2, I32, I32_1, I32_2, U8, U8_2, Mask, Mask_2
+from prc_cli.core.types import F32, F32_2, I32, U8, Mask, Mask_2
 from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.methods.fused.records import Beams, Neighbours, Points, Sides, WalkMemory
 from prc_cli.methods.fused.thresholds import WalkThresholds
-
-Memory = tuple[F32, I32, F32, F32]
 
 BINS = 320
 BIN_M = np.float32(0.25)
@@ -60,7 +59,7 @@ def _nearest(heights: F32, ages: I32, lines: np.float32) -> tuple[bool, np.float
 
 @helper
 def _search(
-    points: tuple[F32, F32],
+    points: Points,
     is_level: U8,
     reach_m: np.float32,
     counts: F32,
@@ -88,14 +87,14 @@ def _search(
 
 @helper
 def _misses_ground(
-    points: tuple[F32, F32],
+    points: Points,
     is_level: U8,
-    line: tuple[F32, Mask],
+    above: F32,
+    walked: Mask,
     reach_m: np.float32,
 ) -> bool:
     """Return whether more level shots near the scanner lie below the known ground than on it."""
     side, height = points
-    above, walked = line
     n_below = 0
     n_walked = 0
     for i in range(len(side)):
@@ -135,11 +134,11 @@ def _lowest(counts: F32, sums: F32) -> np.float32:
     else:
         for d in range(DEPTHS):
             most = max(most, counts[1, d])
-    found = np.float32(0.0)
+    lowest_m = np.float32(0.0)
     for d in range(DEPTHS):
         if (counts[row, d] > np.float32(0.0)) & (counts[row, d] >= MANY * most):
-            found = sums[row, d] / counts[row, d]
-    return found
+            lowest_m = sums[row, d] / counts[row, d]
+    return lowest_m
 
 
 @inlined
@@ -171,10 +170,11 @@ def _mark_level(
 def _walk(
     columns: I32,
     sign: np.float32,
-    points: tuple[F32, F32],
+    points: Points,
     is_level: U8,
     level_shots: I32,
-    known: tuple[F32, I32],
+    memory: F32,
+    age: I32,
     start_m: np.float32,
     thresholds: WalkThresholds,
     profile: F32,
@@ -182,7 +182,6 @@ def _walk(
     walked: Mask,
 ) -> None:
     """Follow the ground outwards on one side of a line, from level shot to level shot, in small steps of height."""
-    memory, age = known
     last_y = np.float32(0.0)
     last_z = _start(memory, age, start_m, thresholds.memory_lines)
     lines = thresholds.memory_lines
@@ -200,8 +199,8 @@ def _walk(
         n_level += is_level[columns[k]]
     for k in range(n_level):
         i = level_shots[k]
-        y = points[0][i] * sign
-        z = points[1][i]
+        y = points.side_m[i] * sign
+        z = points.height_m[i]
         out = y - last_y
         if out < -BACK_M or y < np.float32(0.0) or y >= BINS * BIN_M:
             continue
@@ -315,7 +314,7 @@ def _heights(
 @helper
 def _lay_out(
     ranges: F32,
-    beams: tuple[F32, F32],
+    beams: Beams,
     side: F32,
     height: F32,
 ) -> None:
@@ -328,7 +327,7 @@ def _lay_out(
 
 
 @helper
-def _copy(memory: Memory, to: Memory) -> None:
+def _copy(memory: WalkMemory, to: WalkMemory) -> None:
     """Copy a memory of the ground.
 
     Element by element, because array copies take seconds to compile.
@@ -345,9 +344,9 @@ def _copy(memory: Memory, to: Memory) -> None:
 
 
 @helper
-def _empty() -> Memory:
+def _empty() -> WalkMemory:
     """Return room for a memory of the ground."""
-    return (
+    return WalkMemory(
         np.empty((2, BINS), np.float32),
         np.empty((2, BINS), np.int32),
         np.empty((2, DEPTHS), np.float32),
@@ -357,9 +356,10 @@ def _empty() -> Memory:
 
 @helper
 def _start_of_line(
-    memory: Memory,
-    start: tuple[np.float32, int],
-    points: tuple[F32, F32],
+    memory: WalkMemory,
+    start_m: np.float32,
+    lost: int,
+    points: Points,
     is_level: U8,
     thresholds: WalkThresholds,
 ) -> tuple[np.float32, int]:
@@ -370,7 +370,6 @@ def _start_of_line(
     is negative if it was never known.
     """
     heights, ages, counts, sums = memory
-    start_m, lost = start
     is_known, nearest_m = _nearest(heights, ages, thresholds.memory_lines)
     if is_known:
         start_m = start_m + (nearest_m - start_m) * START_FOLLOW if lost >= 0 else nearest_m
@@ -389,16 +388,16 @@ def _start_of_line(
 @kernel()
 def walk_ground(
     range_m: F32_2,
-    beams: tuple[F32_1, F32_1],
-    counts: tuple[U8_2, U8_2, U8_2, U8_2],
-    sides: tuple[I32_1, I32_1],
-    memory: tuple[F32_2, I32_2, F32_2, F32_2],
+    beams: Beams,
+    neighbours: Neighbours,
+    sides: Sides,
+    memory: WalkMemory,
     start_m: np.float32,
     lost: int,
     missed: int,
     keep: int,
     thresholds: WalkThresholds,
-) -> tuple[F32_2, Mask_2, tuple[F32_2, I32_2, F32_2, F32_2], float, int, int]:
+) -> tuple[F32_2, Mask_2, WalkMemory, float, int, int]:
     """Find the ground of consecutive lines, and the height of every shot above it.
 
     A stream may begin with a part of the scene: a tile shows distant ledges or the roof of a car
@@ -406,20 +405,20 @@ def walk_ground(
     near the scanner that lie below it (``missed``); after some in a row all is forgotten, and the
     walk begins at these shots.
 
-    ``range_m`` (lines, M) float32, metres; ``beams`` tuple of (M,) float32; ``counts`` tuple of
-    (lines, M) uint8; ``sides`` tuple of (n,) int32; returns ``above_m`` (lines, M) float32, metres,
+    ``range_m`` (lines, M) float32, metres; ``beams`` (M,) float32; ``counts`` tuple of
+    (lines, M) uint8; ``sides`` (n,) int32; returns ``above_m`` (lines, M) float32, metres,
     ``walked`` (lines, M) bool.
     """
     n_lines, m = range_m.shape
     above = np.empty((n_lines, m), np.float32)
     walked = np.empty((n_lines, m), np.bool_)
-    own_memory = _empty()
+    now = _empty()
     kept = _empty()
     kept_start = start_m
     kept_lost = lost
     kept_missed = missed
-    _copy(memory, own_memory)
-    heights, ages, shots, sums = own_memory
+    _copy(memory, now)
+    heights, ages, shots, sums = now
     profiles = np.empty(2 * BINS, np.float32)
     seen = np.empty(BINS, np.uint8)
     level_shots = np.empty(m + 1, np.int32)
@@ -428,11 +427,12 @@ def walk_ground(
     grounds = np.empty(m, np.float32)
     side = np.empty(m, np.float32)
     height = np.empty(m, np.float32)
+    points = Points(side, height)
     is_level = np.empty(m, np.uint8)
-    near, smooth, upright, level = counts
+    near, smooth, upright, level = neighbours
     for line in range(n_lines):
         if line == keep:
-            _copy(own_memory, kept)
+            _copy(now, kept)
             kept_start = start_m
             kept_lost = lost
             kept_missed = missed
@@ -440,43 +440,41 @@ def walk_ground(
         _mark_level(
             near[line], smooth[line], upright[line], level[line], thresholds.least_near, is_level
         )
-        start_m, lost = _start_of_line(
-            own_memory, (start_m, lost), (side, height), is_level, thresholds
-        )
-        own = walked[line]
+        start_m, lost = _start_of_line(now, start_m, lost, points, is_level, thresholds)
+        walked_of_line = walked[line]
         for i in range(m):
-            own[i] = False
+            walked_of_line[i] = False
         for s in range(2):
-            columns = sides[0] if s == 0 else sides[1]
+            columns = sides.left if s == 0 else sides.right
             # a stream may begin amid a line, in which no ground is seen
             columns = columns[: len(columns) if lost != -1 else 0]
             sign = np.float32(1.0) if s == 0 else np.float32(-1.0)
             profile = profiles[s * BINS : (s + 1) * BINS]
-            known = (heights[s], ages[s])
             for b in range(BINS):
                 seen[b] = 0
                 profile[b] = np.float32(0.0)
             _walk(
                 columns,
                 sign,
-                (side, height),
+                points,
                 is_level,
                 level_shots,
-                known,
+                heights[s],
+                ages[s],
                 start_m,
                 thresholds,
                 profile,
                 seen,
-                own,
+                walked_of_line,
             )
             _remember(profile, seen, heights[s], ages[s], thresholds)
             _fill(profile, seen, start_m)
         _places(side, places, shares)
         _grounds(places, shares, profiles, grounds)
         _heights(side, height, grounds, above[line])
-        if _misses_ground((side, height), is_level, (above[line], own), thresholds.start_reach_m):
+        if _misses_ground(points, is_level, above[line], walked_of_line, thresholds.start_reach_m):
             missed += 1
-            _search((side, height), is_level, thresholds.start_reach_m, shots, sums)
+            _search(points, is_level, thresholds.start_reach_m, shots, sums)
             if missed >= MISSED_LINES:
                 start_m = _lowest(shots, sums)
                 _forget(ages, shots, sums)
@@ -487,7 +485,7 @@ def walk_ground(
             for s in range(2):
                 _clear(shots[s], sums[s])
     if keep >= n_lines:
-        _copy(own_memory, kept)
+        _copy(now, kept)
         kept_start = start_m
         kept_lost = lost
         kept_missed = missed

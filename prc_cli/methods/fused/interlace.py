@@ -30,7 +30,7 @@ STEEP = 4.0
 
 
 @stage("interlace")
-def put_in_step(
+def align_columns(
     range_m: F32,
     plane: ScanPlane,
     noise_m: F64,
@@ -49,23 +49,23 @@ def put_in_step(
     >>> plane = ScanPlane.of(np.deg2rad(np.linspace(60, 70, 21)))
     >>> late = np.where(np.arange(21) % 2 == 1, 0.5, 0.0)
     >>> lines = (5 + 0.4 * (np.arange(9)[:, None] + late)).astype(np.float32)
-    >>> put_in_step(lines, plane, np.full(9, 0.005), Limits())[4, :4].round(3).tolist()
+    >>> align_columns(lines, plane, np.full(9, 0.005), Limits())[4, :4].round(3).tolist()
     [6.599999904632568, 6.599999904632568, 6.599999904632568, 6.599999904632568]
     """
     if float(plane.step_rad) < limits.interlace_rad or len(range_m) < 3:
         return range_m
     before = range_m[:-2]
-    own = range_m[1:-1]
+    middle = range_m[1:-1]
     after = range_m[2:]
     values, of_line = np.unique(noise_m[1:-1], return_inverse=True)
     smooth = [limits.smoothness.thresholds(float(value), float(plane.step_rad)) for value in values]
-    least_m = np.array([one.tolerance_m for one in smooth], np.float32)[of_line]
-    tolerance_m = least_m[:, None] + smooth[0].tolerance_per_m * own
+    least_m = np.array([limit.tolerance_m for limit in smooth], np.float32)[of_line]
+    tolerance_m = least_m[:, None] + smooth[0].tolerance_per_m * middle
     half = np.float32(0.5)
     with np.errstate(all="ignore"):  # ranges may be anything
-        is_even = np.abs((before + after) * half - own) < np.float32(2.0) * tolerance_m
+        is_even = np.abs((before + after) * half - middle) < np.float32(2.0) * tolerance_m
         recedes_m = (after - before) * half
-    later = _later(_counts(own, recedes_m, tolerance_m, is_even))
+    later = _later(_counts(middle, recedes_m, tolerance_m, is_even))
     if not later.any():
         return range_m
     moved = range_m.copy()
@@ -78,7 +78,7 @@ def put_in_step(
 
 
 def _counts(
-    own: F32,
+    range_m: F32,
     recedes_m: F32,
     tolerance_m: F32,
     is_even: NDArray[np.bool_],
@@ -95,17 +95,16 @@ def _counts(
         is_asked = is_steep[:, left] & is_steep[:, middle] & is_steep[:, right]
         signs = np.sign(recedes_m)
         is_asked &= (signs[:, left] == signs[:, middle]) & (signs[:, right] == signs[:, middle])
-        is_asked &= np.abs(own[:, right] - own[:, left]) < np.abs(recedes_m[:, middle])
-        off = own[:, middle] - (own[:, left] + own[:, right]) * np.float32(0.5)
+        is_asked &= np.abs(range_m[:, right] - range_m[:, left]) < np.abs(recedes_m[:, middle])
+        off = range_m[:, middle] - (range_m[:, left] + range_m[:, right]) * np.float32(0.5)
         late = off / recedes_m[:, middle]
     late[:, 1::2] *= np.float32(-1.0)  # of the odd columns against the even ones
     is_later = is_asked & (np.abs(late - np.float32(HALF)) < np.float32(SLACK))
     is_earlier = is_asked & (np.abs(late + np.float32(HALF)) < np.float32(SLACK))
     counts = np.stack([is_later.sum(axis=1), is_earlier.sum(axis=1)], axis=1)
-    found: I64 = np.column_stack([counts, is_asked.sum(axis=1) - counts.sum(axis=1)]).astype(
-        np.int64
-    )
-    return found
+    n_neither = is_asked.sum(axis=1) - counts.sum(axis=1)
+    by_line: I64 = np.column_stack([counts, n_neither]).astype(np.int64)
+    return by_line
 
 
 def _later(counts: I64) -> I64:
@@ -116,10 +115,10 @@ def _later(counts: I64) -> I64:
     >>> _later(np.array([[0, 9, 1]])).tolist()
     [-1]
     """
-    so_far = np.concatenate([np.zeros((1, 3), np.int64), np.cumsum(counts, axis=0)])
+    sums = np.concatenate([np.zeros((1, 3), np.int64), np.cumsum(counts, axis=0)])
     lines = np.arange(len(counts))
     last = np.minimum(lines + REACH_LINES + 1, len(counts))
-    around = so_far[last] - so_far[np.maximum(lines - REACH_LINES, 0)]
+    around = sums[last] - sums[np.maximum(lines - REACH_LINES, 0)]
     others = around.sum(axis=1)[:, None] - around
     is_so = (around >= LEAST_SHOTS) & (around > 2 * others)
     later: I64 = is_so[:, 0].astype(np.int64) - is_so[:, 1]

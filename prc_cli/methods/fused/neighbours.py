@@ -2,32 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from prc_cli import kernels
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, U8
 from prc_cli.methods.fused.plane import ScanPlane
 from prc_cli.methods.fused.thresholds import ChordThresholds, NearThresholds, Smoothness
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Neighbours:
-    """Neighbourhood counts of every shot, for the inner lines of a window."""
-
-    near: U8
-    """(lines, M) uint8, near neighbours, of 28."""
-    smooth: U8
-    """(lines, M) uint8, pairs of neighbours that lie on a smooth surface with the shot, of 10."""
-    upright: U8
-    """(lines, M) uint8, upright chords through the shot, of 3."""
-    level: U8
-    """(lines, M) uint8, level chords through the shot, of 3."""
-
-    @property
-    def counts(self) -> tuple[U8, U8, U8, U8]:
-        """Return all four."""
-        return self.near, self.smooth, self.upright, self.level
 
 
 @stage("company")

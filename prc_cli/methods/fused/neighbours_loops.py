@@ -14,6 +14,7 @@ import numpy as np
 
 from prc_cli.core.types import F32, F32_1, F32_2, I32, U8, U8_2
 from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.methods.fused.records import Beams, FiveLines, Points
 from prc_cli.methods.fused.thresholds import ChordThresholds, NearThresholds, SmoothThresholds
 
 LINES = 2
@@ -40,19 +41,19 @@ def plane_points(range_m: F32_2, sine: F32_1, cosine: F32_1) -> tuple[F32_2, F32
     side = np.empty((n_lines, m), np.float32)
     height = np.empty((n_lines, m), np.float32)
     for line in range(n_lines):
-        own = range_m[line]
+        ranges = range_m[line]
         y = side[line]
         z = height[line]
         for i in range(m):
-            y[i] = own[i] * sine[i]
-            z[i] = -(own[i] * cosine[i])
+            y[i] = ranges[i] * sine[i]
+            z[i] = -(ranges[i] * cosine[i])
     return side, height
 
 
 @helper
 def _lay_out(
     ranges: F32,
-    beams: tuple[F32, F32],
+    beams: Beams,
     side: F32,
     height: F32,
 ) -> None:
@@ -97,14 +98,14 @@ def _is_near(
 
 @helper
 def _count_beside(
-    own: tuple[F32, F32],
-    limits: tuple[F32, F32],
+    points: Points,
+    near: F32,
+    along: F32,
     thin: np.float32,
     row: U8,
 ) -> None:
     """Count the near neighbours of the shots of a line, which has margins, among the four on either side."""
-    y, z = own
-    near, along = limits
+    y, z = points
     for i in range(len(row)):
         a = y[i + 4]
         b = z[i + 4]
@@ -124,10 +125,11 @@ def _count_beside(
 
 @helper
 def _count_across(
-    own: tuple[F32, F32],
-    line: tuple[F32, F32],
-    other: tuple[F32, F32],
-    limits: tuple[F32, F32],
+    points: Points,
+    line: Points,
+    next_line: Points,
+    near: F32,
+    along: F32,
     thin: np.float32,
     row: U8,
 ) -> None:
@@ -135,10 +137,9 @@ def _count_across(
 
     All have margins.
     """
-    y, z = own
+    y, z = points
     y1, z1 = line
-    y2, z2 = other
-    near, along = limits
+    y2, z2 = next_line
     for i in range(len(row)):
         a = y[i + 4]
         b = z[i + 4]
@@ -188,12 +189,12 @@ def near_counts(
     height = _margins(m)
     room = 2 * LINES + 1
     for line in range(range_m.shape[0]):
-        _lay_out(range_m[line], (sine, cosine), side[line % room], height[line % room])
+        _lay_out(range_m[line], Beams(sine, cosine), side[line % room], height[line % room])
         if line < 2 * LINES:
             continue
-        own = range_m[line - LINES]
+        ranges = range_m[line - LINES]
         for i in range(m):
-            apart = own[i] * step
+            apart = ranges[i] * step
             short = max(near_m, near_steps * apart)
             near[i] = short
             along[i] = max(max(along_m, along_steps * apart), short)
@@ -203,10 +204,14 @@ def near_counts(
         c = (line - 2) % room
         d = (line - 1) % room
         e = line % room
-        points = side[c], height[c]
-        _count_beside(points, (near, along), thin, row)
-        _count_across(points, (side[a], height[a]), (side[b], height[b]), (near, along), thin, row)
-        _count_across(points, (side[d], height[d]), (side[e], height[e]), (near, along), thin, row)
+        points = Points(side[c], height[c])
+        second_before = Points(side[a], height[a])
+        before = Points(side[b], height[b])
+        after = Points(side[d], height[d])
+        second_after = Points(side[e], height[e])
+        _count_beside(points, near, along, thin, row)
+        _count_across(points, second_before, before, near, along, thin, row)
+        _count_across(points, after, second_after, near, along, thin, row)
     return counts
 
 
@@ -320,7 +325,8 @@ def _strides(
 @helper
 def _pairs_farther(
     ranges: F32,
-    points: tuple[F32, F32],
+    side: F32,
+    height: F32,
     step: np.float32,
     thresholds: SmoothThresholds,
     strides: I32,
@@ -334,23 +340,22 @@ def _pairs_farther(
     per_m = thresholds.tolerance_per_m
     gap_m = thresholds.gap_m
     gap_steps = thresholds.gap_steps
-    side, height = points
     m = len(row)
     for first in range(0, m, PIECE):
         end = min(first + PIECE, m)
-        there = np.int32(0)
+        strides_here = np.int32(0)
         for i in range(first, end):
-            there |= np.int32(1) << strides[i]
+            strides_here |= np.int32(1) << strides[i]
         for n in range(2, MOST_STRIDE + 1):
-            if there & np.int32(1 << n) == 0:
+            if strides_here & np.int32(1 << n) == 0:
                 continue
             # no shot nearer to the ends of the line has this stride
             low = max(first, 2 * n)
             high = min(end, m - 2 * n)
             start = low + COLUMNS
             size = high - low
-            own = ranges[low:high]
-            asked = strides[low:high]
+            piece_m = ranges[low:high]
+            stride = strides[low:high]
             counts = row[low:high]
             y0 = side[start : start + size]
             y1 = side[start - 2 * n :]
@@ -365,9 +370,9 @@ def _pairs_farther(
             for k in range(size):
                 y = y0[k]
                 z = z0[k]
-                tolerance = base + per_m * own[k]
+                tolerance = base + per_m * piece_m[k]
                 tolerance = tolerance * tolerance
-                gap = max(gap_m, gap_steps * (own[k] * step))
+                gap = max(gap_m, gap_steps * (piece_m[k] * step))
                 gap = gap * gap
                 count = (
                     _on_line(y2[k], z2[k], y3[k], z3[k], y, z, tolerance, gap)
@@ -377,14 +382,14 @@ def _pairs_farther(
                     + _on_line(y2[k], z2[k], y4[k], z4[k], y, z, tolerance, gap)
                     + _on_line(y1[k], z1[k], y3[k], z3[k], y, z, tolerance, gap)
                 )
-                counts[k] = np.uint8(count) if asked[k] == n else counts[k]
+                counts[k] = np.uint8(count) if stride[k] == n else counts[k]
 
 
 @helper
 def _pairs_across(
     ranges: F32,
-    lines: tuple[F32, F32, F32, F32, F32],
-    heights: tuple[F32, F32, F32, F32, F32],
+    sides: FiveLines,
+    heights: FiveLines,
     thresholds: SmoothThresholds,
     row: U8,
 ) -> None:
@@ -394,13 +399,13 @@ def _pairs_across(
     """
     base = thresholds.tolerance_m
     per_m = thresholds.tolerance_per_m
-    ya, yb, own_y, yd, ye = lines
-    za, zb, own_z, zd, ze = heights
+    ya, yb, yc, yd, ye = sides
+    za, zb, zc, zd, ze = heights
     for i in range(len(row)):
         tolerance = base + per_m * ranges[i]
         tolerance = tolerance * tolerance
-        y = own_y[i + 4]
-        z = own_z[i + 4]
+        y = yc[i + 4]
+        z = zc[i + 4]
         row[i] += (
             _between(yb[i + 4], zb[i + 4], yd[i + 4], zd[i + 4], y, z, tolerance)
             + _between(yb[i + 5], zb[i + 5], yd[i + 3], zd[i + 3], y, z, tolerance)
@@ -437,7 +442,7 @@ def smooth_counts(
     height = _margins(m)
     room = 2 * LINES + 1
     for line in range(range_m.shape[0]):
-        _lay_out(range_m[line], (sine, cosine), side[line % room], height[line % room])
+        _lay_out(range_m[line], Beams(sine, cosine), side[line % room], height[line % room])
         if line < 2 * LINES:
             continue
         ranges = range_m[line - LINES]
@@ -449,10 +454,10 @@ def smooth_counts(
         e = line % room
         _pairs_in_line(ranges, side[c], height[c], step, thresholds, row)
         _strides(ranges, step, thresholds, strides)
-        _pairs_farther(ranges, (side[c], height[c]), step, thresholds, strides, row)
-        lines = side[a], side[b], side[c], side[d], side[e]
-        heights = height[a], height[b], height[c], height[d], height[e]
-        _pairs_across(ranges, lines, heights, thresholds, row)
+        _pairs_farther(ranges, side[c], height[c], step, thresholds, strides, row)
+        sides = FiveLines(side[a], side[b], side[c], side[d], side[e])
+        heights = FiveLines(height[a], height[b], height[c], height[d], height[e])
+        _pairs_across(ranges, sides, heights, thresholds, row)
     return counts
 
 
@@ -490,13 +495,13 @@ def _ends(
     for i in range(len(values)):
         shown[PAD + i] = values[i] if smooth[i] > 0 else np.float32(np.nan)
     out = shown[1 + way : n - 1 + way]
-    own = shown[1 : n - 1]
+    middle = shown[1 : n - 1]
     back = shown[1 - way : n - 1 - way]
     three = ends[1 : n - 1]
     two = ends[n + 1 : 2 * n - 1]
     for i in range(n - 2):
         # NaN marks columns that are not smooth
-        further = own[i] if own[i] == own[i] else out[i]
+        further = middle[i] if middle[i] == middle[i] else out[i]
         two[i] = further
         three[i] = further if further == further else back[i]
 
@@ -505,8 +510,8 @@ def _ends(
 def _look_up(
     reach: I32,
     way: int,
-    ends: tuple[F32, F32],
-    found: tuple[F32, F32],
+    ends: Points,
+    chord_ends: Points,
 ) -> None:
     """Write the ends of the chords of a line.
 
@@ -515,19 +520,19 @@ def _look_up(
     m = len(reach)
     n = m + 2 * PAD
     side, height = ends
-    found_y, found_z = found
+    side_of_shot, height_of_shot = chord_ends
     for i in range(m):
         columns = int(reach[i])
         place = np.uint64(PAD + i + way * columns + (n if columns == 1 else 0))
-        found_y[i] = side[place]
-        found_z[i] = height[place]
+        side_of_shot[i] = side[place]
+        height_of_shot[i] = height[place]
 
 
 @helper
 def _count_chords(
-    points: tuple[F32, F32],
-    before: tuple[F32, F32],
-    after: tuple[F32, F32],
+    points: Points,
+    before: Points,
+    after: Points,
     thresholds: ChordThresholds,
     upright: U8,
     level: U8,
@@ -587,27 +592,27 @@ def directions(
     side = np.empty(m, np.float32)
     height = np.empty(m, np.float32)
     shown = np.empty(n, np.float32)
-    ends = (np.empty(2 * n, np.float32), np.empty(2 * n, np.float32))
+    ends = Points(np.empty(2 * n, np.float32), np.empty(2 * n, np.float32))
     for i in range(n):
         shown[i] = np.float32(np.nan)
     for i in range(2 * n):
         ends[0][i] = ends[1][i] = np.float32(np.nan)
-    before = np.empty(m, np.float32), np.empty(m, np.float32)
-    after = np.empty(m, np.float32), np.empty(m, np.float32)
+    before = Points(np.empty(m, np.float32), np.empty(m, np.float32))
+    after = Points(np.empty(m, np.float32), np.empty(m, np.float32))
     chord = thresholds.chord_m
     most = np.float32(MOST_COLUMNS)
     for line in range(n_lines):
-        own = range_m[line]
+        ranges = range_m[line]
         for i in range(m):
-            columns = np.float32(0.0) if own[i] != own[i] else chord / (own[i] * step)
+            columns = np.float32(0.0) if ranges[i] != ranges[i] else chord / (ranges[i] * step)
             reach[i] = np.int32(min(max(columns, np.float32(1.0)), most))
         for i in range(m):
-            side[i] = own[i] * sine[i]
+            side[i] = ranges[i] * sine[i]
         for i in range(m):
-            height[i] = -(own[i] * cosine[i])
+            height[i] = -(ranges[i] * cosine[i])
         for way in (-1, 1):
             _ends(side, smooth[line], way, shown, ends[0])
             _ends(height, smooth[line], way, shown, ends[1])
             _look_up(reach, way, ends, before if way < 0 else after)
-        _count_chords((side, height), before, after, thresholds, upright[line], level[line])
+        _count_chords(Points(side, height), before, after, thresholds, upright[line], level[line])
     return upright, level

@@ -76,12 +76,12 @@ def _mark_amid_cars(labels: U8, smooth: U8, marks: U8) -> None:
     b = labels[1 : m - 3]
     c = labels[3 : m - 1]
     d = labels[4:]
-    own = labels[2 : m - 2]
+    middle = labels[2 : m - 2]
     pairs = smooth[2 : m - 2]
     inner = marks[2 : m - 2]
     for i in range(m - 4):
         is_amid = ((a[i] == car) | (b[i] == car)) & ((c[i] == car) | (d[i] == car))
-        is_open = (own[i] != _NOISE) & (own[i] != _MISSING) & (pairs[i] < SMOOTH)
+        is_open = (middle[i] != _NOISE) & (middle[i] != _MISSING) & (pairs[i] < SMOOTH)
         inner[i] |= _MIRRORED if is_amid & is_open else np.uint8(0)
 
 
@@ -103,7 +103,8 @@ def _is_mirrored(
     range_m: F32,
     smooth: U8,
     labels: U8,
-    at: tuple[int, int],
+    line: int,
+    i: int,
     before: int,
     thresholds: AgainThresholds,
 ) -> bool:
@@ -111,13 +112,12 @@ def _is_mirrored(
 
     ``labels`` begins ``before`` lines after the others.
     """
-    line, i = at
     m = range_m.shape[1]
-    own = range_m[line, i]
+    shot_m = range_m[line, i]
     gap = thresholds.mirror_m
     car = np.uint8(_CAR)
     row = range_m[line]
-    end = own - gap
+    end = shot_m - gap
     if not ((row[i - 1] < end) | (row[i - 2] < end)) & ((row[i + 1] < end) | (row[i + 2] < end)):
         return False
     first = max(i - COLUMNS, 0)
@@ -126,7 +126,7 @@ def _is_mirrored(
     for k in range(line - BESIDE_LINES, line + BESIDE_LINES + 1):
         for j in range(first, last):
             place = np.uint64(j)
-            off = range_m[k, place] - own
+            off = range_m[k, place] - shot_m
             is_before = (off < -gap) & (labels[k - before, place] == car)
             left += np.int32(is_before & (j < i))
             right += np.int32(is_before & (j > i))
@@ -144,7 +144,7 @@ def _is_alone(
 ) -> bool:
     """Return whether nothing in the window is about as far, and nothing for long on one side of that."""
     # the shot is as far as itself
-    own = range_m[line, i]
+    shot_m = range_m[line, i]
     as_far = np.int32(-1)
     before = after = _FAR
     missing = cells = 0
@@ -152,7 +152,7 @@ def _is_alone(
         # from its own line outwards
         k = line + (n + 1) // 2 * (1 if n % 2 else -1)
         for j in range(max(i - COLUMNS, 0), min(i + COLUMNS + 1, range_m.shape[1])):
-            off = range_m[k, np.uint64(j)] - own
+            off = range_m[k, np.uint64(j)] - shot_m
             as_far += np.int32(abs(off) < thresholds.alone_m)
             cells += 1
             missing += off != off
@@ -167,7 +167,8 @@ def _is_alone(
 def _is_leaf(
     range_m: F32,
     labels: U8,
-    at: tuple[int, int],
+    line: int,
+    i: int,
     before: int,
     thresholds: AgainThresholds,
 ) -> bool:
@@ -175,7 +176,6 @@ def _is_leaf(
 
     ``labels`` begins ``before`` lines later.
     """
-    line, i = at
     leaves = np.int32(0)
     for k in range(line - BESIDE_LINES, line + BESIDE_LINES + 1):
         for j in range(max(i - COLUMNS, 0), min(i + COLUMNS + 1, range_m.shape[1])):
@@ -203,7 +203,7 @@ def noise_again(
     (lines, M) float32; returns (lines, M) uint8, the label, or the reason where it is one of these.
     """
     n_lines, m = voted.shape
-    found = voted.copy()
+    labels_or_reasons = voted.copy()
     room = (m + 7) // 8 * 8
     marks = np.zeros(room, np.uint8)
     shots = np.empty(room + 1, np.int32)
@@ -217,11 +217,11 @@ def noise_again(
         for n in range(_list(words, marks, shots)):
             i = int(shots[n])
             if marks[i] & _ALONE and _is_alone(range_m, k, i, thresholds):
-                found[line, i] = _RANGE_ALONE
+                labels_or_reasons[line, i] = _RANGE_ALONE
             elif marks[i] & _MIRRORED and _is_mirrored(
-                range_m, smooth, labels, (k, i), before, thresholds
+                range_m, smooth, labels, k, i, before, thresholds
             ):
-                found[line, i] = _MIRROR_IMAGE
-            elif marks[i] & _LOST and _is_leaf(range_m, labels, (k, i), before, thresholds):
-                found[line, i] = _LEAF
-    return found
+                labels_or_reasons[line, i] = _MIRROR_IMAGE
+            elif marks[i] & _LOST and _is_leaf(range_m, labels, k, i, before, thresholds):
+                labels_or_reasons[line, i] = _LEAF
+    return labels_or_reasons

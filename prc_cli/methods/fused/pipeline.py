@@ -13,7 +13,7 @@ the distance of lines.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
@@ -41,11 +41,11 @@ from prc_cli.methods.base import (
 from prc_cli.methods.fused.classes import (
     BESIDE_THIN_LINES,
     LINES,
-    are_wanted,
-    ask_again,
     decide,
     find_cars,
     find_curbs,
+    find_late_noise,
+    has_car_profiles,
     has_ceiling,
     is_room,
     no_profiles,
@@ -63,8 +63,8 @@ from prc_cli.methods.fused.confidence import (
 )
 from prc_cli.methods.fused.forest import forest
 from prc_cli.methods.fused.ground import Ground, GroundMemory, follow_ground
-from prc_cli.methods.fused.interlace import put_in_step
-from prc_cli.methods.fused.neighbours import Neighbours, chords, near_neighbours, smooth_pairs
+from prc_cli.methods.fused.interlace import align_columns
+from prc_cli.methods.fused.neighbours import chords, near_neighbours, smooth_pairs
 from prc_cli.methods.fused.plane import (
     AROUND_LINES,
     INNER_LINES,
@@ -74,15 +74,16 @@ from prc_cli.methods.fused.plane import (
     ScanPlane,
 )
 from prc_cli.methods.fused.range_noise import Noise, NoiseAlong, SensorParams, forest_noise
+from prc_cli.methods.fused.records import FilledSlots, Neighbours, Walls
 from prc_cli.methods.fused.spacing import (
     BESIDE_LINES,
     SPACED_LINES,
     Spacing,
-    leaves_again,
+    count_repeated_leaves,
     spaced_pairs,
     strides_of,
 )
-from prc_cli.methods.fused.strips import Standing, stand
+from prc_cli.methods.fused.strips import Strips, measure_strips
 from prc_cli.methods.fused.thresholds import FOREST, NEVER, STREET, Forest, Limits, in_room
 from prc_cli.methods.returns import label_extra_returns
 
@@ -199,8 +200,8 @@ PROFILES = Part[U8]("profiles")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
-    """Neighbourhoods in a block and three lines before and after it.
+class Neighbourhoods:
+    """Neighbours of the shots of a block and of three lines before and after it.
 
     Independent of earlier blocks.
     """
@@ -295,21 +296,21 @@ class Fused(Classifier[FusedScanner, FusedState]):
     ) -> Sequence[LabelledBlock]:
         """Label a block, and its further returns by neighbouring shots of similar range."""
         _check_shapes(block.range_m, block.next_m, scanner.points_per_line, self.params)
-        found = _classify(block.range_m, block.next_m, scanner, turn, self.params, wanted)
+        decided = _classify(block.range_m, block.next_m, scanner, turn, self.params, wanted)
         further = block.extra
         limit_m = EXTRA_RETURN_M
-        labels = found.labels
+        labels = decided.labels
         environment = self.params.environment
         extra = label_further_returns(
             block.range_m, labels, further.line, further.column, further.range_m, limit_m
         )
-        labelled = LabelledBlock(block, labels, extra, reasons=found.reasons)
+        labelled = LabelledBlock(block, labels, extra, reasons=decided.reasons)
         if wanted.stages:
-            labelled = replace(labelled, above_m=true_heights(found.above_m, block))
+            labelled = replace(labelled, above_m=true_heights(decided.above_m, block))
         if wanted.measures:
-            labelled = replace(labelled, measures=measures_of(found, block.range_m.shape))
+            labelled = replace(labelled, measures=measures_of(decided, block.range_m.shape))
         if wanted.confidence:
-            evidence = found.evidence or _forest_evidence(block.range_m, found, scanner)
+            evidence = decided.evidence or _forest_evidence(block.range_m, decided, scanner)
             cells = cells_of(
                 labels, block.range_m, evidence, scanner.scan_plane, QUESTIONS[environment]
             )
@@ -370,7 +371,7 @@ def classify_block(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class DecidedBlock:
     """The labels of a block, and what they were decided by; arrays of its lines alone."""
 
     labels: U8
@@ -393,17 +394,17 @@ def _classify(
     turn: Turn,
     params: FusedParams,
     wanted: Wanted,
-) -> Found:
+) -> DecidedBlock:
     """Label a block; see :func:`classify_block`."""
     plane = scanner.scan_plane
     if params.environment == "forest":  # but for the range noise, a block is labelled by itself
         in_forest_m = turn.hand_on(
-            NOISE, lambda known: _measure_forest(range_m, known, params.sensor)
+            NOISE, lambda known: _measure_forest_noise(range_m, known, params.sensor)
         )
         woods = forest(range_m, scanner.plane, in_forest_m, params.forest.limits())
         labels = woods.reasons & np.uint8(LABEL_BITS)
         noise = np.full((1, 1), in_forest_m)
-        return Found(labels, woods.reasons, woods.above_m, noise, None, woods.on_stem)
+        return DecidedBlock(labels, woods.reasons, woods.above_m, noise, None, woods.on_stem)
     limits = scanner.limits
     n_lines = len(range_m)
     ahead = lines_ahead(plane, limits)
@@ -415,31 +416,36 @@ def _classify(
     wide = window_of(tail, range_m, next_m, ahead)
     line = turn.hand_on(LINE, lambda first: (first, first + n_lines))
     noise_m = turn.hand_on(
-        NOISE_ALONG, lambda known: _measure(wide, line, plane, known, params.sensor)
+        NOISE_ALONG, lambda known: _measure_noise(wide, line, plane, known, params.sensor)
     )
-    wide, limits = put_in_step(wide, plane, noise_m, limits), of_place(limits, wide, plane)
-    strides = _strides(wide, (line, n_lines), plane, noise_m, turn, limits)
+    limits_here = limits_of_place(limits, wide, plane)
+    wide = align_columns(wide, plane, noise_m, limits)
+    limits = limits_here
+    strides = _strides(wide, line, n_lines, plane, noise_m, turn, limits)
     apart = lines_apart(strides)
     streams = streams_of(wide, strides, plane, noise_m, limits)
     grounds = turn.hand_on(
-        MEMORY, lambda memory: _follow_all(streams, apart, n_lines, plane, memory, limits)
+        MEMORY, lambda memory: _follow_streams(streams, apart, n_lines, plane, memory, limits)
     )
-    found = [
-        evidence_of(stream.seen, stream.wide_m, own.above_m, plane, limits)
-        for stream, own in zip(streams, grounds.parts, strict=True)
-    ]
-    decided = [
-        _decide(stream, own, evidence, plane, limits, with_reasons=wanted.reasons)
-        for stream, own, evidence in zip(streams, grounds.parts, found, strict=True)
-    ]
-    labels = _woven([labels for labels, _ in decided], streams, apart)
-    reasons = (
-        _woven([reasons for _, reasons in decided], streams, apart) if wanted.reasons else None
-    )
+    evidences = []
+    labels_of_streams = []
+    reasons_of_streams = []
+    for stream, ground in zip(streams, grounds.parts, strict=True):
+        evidence_of_stream = evidence_of(
+            stream.neighbourhoods, stream.wide_m, ground.above_m, plane, limits
+        )
+        stream_labels, stream_reasons = _decide(
+            stream, ground, evidence_of_stream, plane, limits, with_reasons=wanted.reasons
+        )
+        evidences.append(evidence_of_stream)
+        labels_of_streams.append(stream_labels)
+        reasons_of_streams.append(stream_reasons)
+    labels = _merge_lines(labels_of_streams, streams, apart)
+    reasons = _merge_lines(reasons_of_streams, streams, apart) if wanted.reasons else None
     evidence = None
-    has_profiles = are_wanted(plane, limits)
+    has_profiles = has_car_profiles(plane, limits)
     if wanted.confidence or wanted.measures or has_profiles:
-        evidence = _woven_evidence(found, grounds.above_m, streams, apart)
+        evidence = _merge_evidence(evidences, grounds.above_m, streams, apart)
     if evidence is not None and has_profiles:
         block = wide[SPACED_LINES : len(wide) - SPACED_LINES]
         before = labels
@@ -448,44 +454,52 @@ def _classify(
             reasons = np.where(
                 labels == before[:n_lines], reasons[:n_lines], np.uint8(Reason.PROFILE)
             )
-    own = slice(grounds.margin, grounds.margin + n_lines)
-    own_noise_m = noise_m[SPACED_LINES : SPACED_LINES + n_lines, None]
-    return Found(labels, reasons, grounds.above_m[own], own_noise_m, evidence, grounds.walked[own])
+    lines = slice(grounds.margin, grounds.margin + n_lines)
+    noise_of_block_m = noise_m[SPACED_LINES : SPACED_LINES + n_lines, None]
+    return DecidedBlock(
+        labels,
+        reasons,
+        grounds.above_m[lines],
+        noise_of_block_m,
+        evidence,
+        grounds.walked[lines],
+    )
 
 
-def measures_of(found: Found, shape: tuple[int, ...]) -> dict[str, AnyArray]:
+def measures_of(decided: DecidedBlock, shape: tuple[int, ...]) -> dict[str, AnyArray]:
     """Return what was measured of every shot of a block, by names with their units."""
     n_lines = shape[0]
     measures: dict[str, AnyArray] = {
-        "range noise [m]": np.broadcast_to(found.noise_m, shape),
-        "height above the ground [m]": found.above_m,
+        "range noise [m]": np.broadcast_to(decided.noise_m, shape),
+        "height above the ground [m]": decided.above_m,
     }
-    if found.evidence is None:
-        return {**measures, "on a stem": found.marked}
-    own = slice(found.evidence.margin, found.evidence.margin + n_lines)
-    near, smooth, upright, level = (each[own] for each in found.evidence.seen.counts)
+    evidence = decided.evidence
+    if evidence is None:
+        return {**measures, "on a stem": decided.marked}
+    lines = slice(evidence.margin, evidence.margin + n_lines)
+    near, smooth, upright, level = evidence.neighbours.of_lines(lines)
     return {
         **measures,
-        "walked over": found.marked,
+        "walked over": decided.marked,
         "near neighbours, of 28": near,
         "smooth pairs, of 10": smooth,
         "upright chords, of 3": upright,
         "level chords, of 3": level,
-        "smooth share around": found.evidence.texture[1 : 1 + n_lines],
+        "smooth share around": evidence.texture[1 : 1 + n_lines],
     }
 
 
-def _forest_evidence(range_m: F32, found: Found, scanner: FusedScanner) -> Evidence:
+def _forest_evidence(range_m: F32, decided: DecidedBlock, scanner: FusedScanner) -> Evidence:
     """Look at a block of forest as at a street; lines beyond it are not known."""
     plane = scanner.scan_plane
     limits = scanner.limits
     beyond = ((AROUND_LINES, AROUND_LINES), (0, 0))
     window = np.pad(range_m, beyond, constant_values=np.float32(np.nan))
-    smooth = smooth_pairs(window, plane, found.noise_m.item(), limits.smoothness)
-    seen = see(window, smooth, plane, limits)
+    smooth = smooth_pairs(window, plane, decided.noise_m.item(), limits.smoothness)
+    neighbourhoods = measure_neighbours(window, smooth, plane, limits)
     inner = slice(INNER_LINES, -INNER_LINES)
-    above = np.pad(found.above_m, beyond, constant_values=np.float32(np.nan))[inner]
-    return evidence_of(seen, window, above, plane, limits)
+    above = np.pad(decided.above_m, beyond, constant_values=np.float32(np.nan))[inner]
+    return evidence_of(neighbourhoods, window, above, plane, limits)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -495,13 +509,13 @@ class Stream:
     first: int
     """The first of its lines in the block."""
     every: int
-    seen: Seen
+    neighbourhoods: Neighbourhoods
     wide_m: F32
     """Ranges of its lines and of :data:`MARGIN_LINES` before and after them [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Grounds(Ground):
+class BlockGround(Ground):
     """The ground of the lines of a block, and perhaps of lines around, as many before as after."""
 
     parts: tuple[Ground, ...]
@@ -524,7 +538,7 @@ def lines_ahead(plane: ScanPlane, limits: Limits) -> int:
 
     Those by which a car in its last line is found.
     """
-    return LINES if are_wanted(plane, limits) else 0
+    return LINES if has_car_profiles(plane, limits) else 0
 
 
 def streams_of(
@@ -548,56 +562,62 @@ def streams_of(
     around = MARGIN_LINES - AROUND_LINES
     streams = []
     for every in np.unique(apart).tolist():
-        window, own_strides, own_noise_m = _with_beside(wide, strides, noise_m, every)
-        smooth = spaced_pairs(window, own_strides, plane, own_noise_m, limits.smoothness)
+        window, wide_strides, wide_noise_m = _widen_window(wide, strides, noise_m, every)
+        smooth = spaced_pairs(window, wide_strides, plane, wide_noise_m, limits.smoothness)
         for first in range(min(every, len(apart))):
-            own_m = wide[OUTSIDE_LINES:-OUTSIDE_LINES]
-            own = smooth
+            lines_m = wide[OUTSIDE_LINES:-OUTSIDE_LINES]
+            smooth_of_lines = smooth
             if every > 1:
-                own_m = wide[_rows_of(first, every, len(apart))]
-                own = np.ascontiguousarray(
-                    smooth[first::every][: len(own_m) - 2 * (around + INNER_LINES)]
-                )
-            seen = see(own_m[around:-around], own, plane, limits)
-            streams.append(Stream(first, every, seen, own_m))
+                lines_m = wide[_rows_of_stream(first, every, len(apart))]
+                n_smooth = len(lines_m) - 2 * (around + INNER_LINES)
+                smooth_of_lines = np.ascontiguousarray(smooth[first::every][:n_smooth])
+            neighbourhoods = measure_neighbours(
+                lines_m[around:-around], smooth_of_lines, plane, limits
+            )
+            streams.append(Stream(first, every, neighbourhoods, lines_m))
     return streams
 
 
-def _follow_all(
+def _follow_streams(
     streams: Sequence[Stream],
     apart: I64,
     n_lines: int,
     plane: ScanPlane,
     memory: GroundMemory,
     limits: Limits,
-) -> tuple[Grounds, GroundMemory]:
+) -> tuple[BlockGround, GroundMemory]:
     """Follow the ground of every stream from the same memory on.
 
     Return it, and the memory for the next block.
     """
-    found = []
-    for stream in streams:
-        seen = stream.seen
-        own = len(range(stream.first, n_lines, stream.every))
-        found.append(follow_ground(seen.range_m, seen.neighbours, plane, memory, own, limits.walk))
     last = int(apart[n_lines - 1])
-    after = [
-        left
-        for (_, left), stream in zip(found, streams, strict=True)
-        if stream.every == last and stream.first < n_lines
-    ][-1]
-    parts = tuple(ground for ground, _ in found)
-    above = _woven([ground.above_m for ground in parts], streams, apart)
-    walked = _woven([ground.walked for ground in parts], streams, apart)
-    return Grounds(above, walked, parts, (len(above) - len(apart)) // 2), after
+    after = memory
+    grounds = []
+    for stream in streams:
+        ground, memory_of_stream = follow_ground(
+            stream.neighbourhoods.range_m,
+            stream.neighbourhoods.neighbours,
+            plane,
+            memory,
+            len(range(stream.first, n_lines, stream.every)),
+            limits.walk,
+        )
+        grounds.append(ground)
+        # the last stream with a line at the end of the block
+        if stream.every == last and stream.first < n_lines:
+            after = memory_of_stream
+    parts = tuple(grounds)
+    above = _merge_lines([ground.above_m for ground in parts], streams, apart)
+    walked = _merge_lines([ground.walked for ground in parts], streams, apart)
+    return BlockGround(above, walked, parts, (len(above) - len(apart)) // 2), after
 
 
-def _rows_of(first: int, every: int, n_lines: int) -> I64:
+def _rows_of_stream(first: int, every: int, n_lines: int) -> I64:
     """Return the rows of a stream in the wide window, with more before and after.
 
     Of those beyond it the outermost.
 
-    >>> _rows_of(1, 2, 4)[[0, MARGIN_LINES, MARGIN_LINES + 1]].tolist()
+    >>> _rows_of_stream(1, 2, 4)[[0, MARGIN_LINES, MARGIN_LINES + 1]].tolist()
     [0, 36, 38]
     """
     n = len(range(first, n_lines, every))
@@ -607,7 +627,7 @@ def _rows_of(first: int, every: int, n_lines: int) -> I64:
     return np.clip(rows, rows[0] % every, last)
 
 
-def _with_beside(
+def _widen_window(
     wide: F32,
     strides: I64,
     noise_m: F64,
@@ -620,75 +640,74 @@ def _with_beside(
     """
     more = BESIDE_LINES * (every - 1)
     around = SPACED_LINES - BESIDE_LINES - more
-    own_noise_m = noise_m[around : len(noise_m) - around]
+    wide_noise_m = noise_m[around : len(noise_m) - around]
     if more == 0:
-        return wide, strides, own_noise_m
+        return wide, strides, wide_noise_m
     first, last = (
         np.full(more, min(int(stride), FARTHEST_BESIDE)) for stride in (strides[0], strides[-1])
     )
     window = np.pad(wide, ((more, more), (0, 0)), constant_values=np.float32(np.nan))
-    return window, np.concatenate([first, strides, last]), own_noise_m
+    return window, np.concatenate([first, strides, last]), wide_noise_m
 
 
-def _woven(arrays: Sequence[AnyArray], streams: Sequence[Stream], apart: I64) -> AnyArray:
-    """Return the lines of a block, each from the stream whose lines are as far apart as this one asks for.
-
-    ``apart`` (lines,) int64.
-    """
+def _merge_lines(arrays: Sequence[AnyArray], streams: Sequence[Stream], apart: I64) -> AnyArray:
+    """Put the lines of a block together, each from the stream with its distance of lines, ``apart`` (lines,) int64."""
     if len(streams) == 1 and streams[0].every == 1:
         return arrays[0]
-    woven = np.empty((len(apart), *arrays[0].shape[1:]), arrays[0].dtype)
+    merged = np.empty((len(apart), *arrays[0].shape[1:]), arrays[0].dtype)
     for array, stream in zip(arrays, streams, strict=True):
         lines = np.arange(stream.first, len(apart), stream.every)
-        is_own = apart[lines] == stream.every
-        woven[lines[is_own]] = array[(len(array) - len(lines)) // 2 :][: len(lines)][is_own]
-    return woven
+        rows = array[(len(array) - len(lines)) // 2 :][: len(lines)]
+        is_apart = apart[lines] == stream.every
+        merged[lines[is_apart]] = rows[is_apart]
+    return merged
 
 
-def _woven_evidence(
-    found: Sequence[Evidence],
+def _merge_evidence(
+    evidences: Sequence[Evidence],
     above_m: F32,
     streams: Sequence[Stream],
     apart: I64,
 ) -> Evidence:
-    """Return the evidence of a block from that of its streams.
-
-    What lies beside the block is left empty.
-    """
+    """Put the evidence of a block together from that of its streams; lines beside the block are left empty."""
     if len(streams) == 1 and streams[0].every == 1:
-        return found[0]
+        return evidences[0]
 
-    def of(what: Callable[[Evidence], AnyArray]) -> AnyArray:
-        return _woven([what(each) for each in found], streams, apart)
+    def merged(arrays: Sequence[AnyArray]) -> AnyArray:
+        return _merge_lines(arrays, streams, apart)
 
-    def wider(what: Callable[[Evidence], AnyArray]) -> AnyArray:
-        return np.pad(of(what), ((VOTE_LINES, VOTE_LINES), (0, 0)))
+    def padded(arrays: Sequence[AnyArray]) -> AnyArray:
+        return np.pad(merged(arrays), ((VOTE_LINES, VOTE_LINES), (0, 0)))
 
-    seen = Neighbours(
-        of(lambda each: each.seen.near),
-        of(lambda each: each.seen.smooth),
-        of(lambda each: each.seen.upright),
-        of(lambda each: each.seen.level),
+    counts = zip(*(evidence.neighbours for evidence in evidences), strict=True)
+    slots = zip(*(evidence.strips.slots for evidence in evidences), strict=True)
+    walls = zip(*(evidence.strips.walls for evidence in evidences), strict=True)
+    strips = Strips(
+        FilledSlots(*(padded(arrays) for arrays in slots)),
+        Walls(*(padded(arrays) for arrays in walls)),
+        padded([evidence.strips.levels for evidence in evidences]),
+        padded([evidence.strips.kinds for evidence in evidences]),
     )
-    every, rough = (wider(lambda each, k=k: each.standing.slots[k]) for k in range(2))  # type: ignore[misc]
-    at, top, ahead = (wider(lambda each, k=k: each.standing.walls[k]) for k in range(3))  # type: ignore[misc]
-    levels = wider(lambda each: each.standing.levels)
-    columns = wider(lambda each: each.standing.columns)
-    standing = Standing((every, rough), (at, top, ahead), levels, columns)
-    return Evidence(seen, above_m, wider(lambda each: each.texture), standing, 0)
+    return Evidence(
+        Neighbours(*(merged(arrays) for arrays in counts)),
+        above_m,
+        padded([evidence.texture for evidence in evidences]),
+        strips,
+        0,
+    )
 
 
-def of_place(limits: Limits, wide: F32, plane: ScanPlane) -> Limits:
+def limits_of_place(limits: Limits, wide: F32, plane: ScanPlane) -> Limits:
     """Return the limits for the place of a block, given with the lines around.
 
     No cars in rooms, no curbs indoors.
     """
-    some = wide[::ROOM_LINES]
-    limits = in_room(limits) if is_room(some, limits) else limits
-    return limits._replace(curbs=None) if has_ceiling(some, plane) else limits
+    every_fourth = wide[::ROOM_LINES]
+    limits = in_room(limits) if is_room(every_fourth, limits) else limits
+    return limits._replace(curbs=None) if has_ceiling(every_fourth, plane) else limits
 
 
-def _measure(
+def _measure_noise(
     wide: F32,
     line: int,
     plane: ScanPlane,
@@ -700,7 +719,7 @@ def _measure(
     return noise.of_lines(line - SPACED_LINES, len(wide), params), noise
 
 
-def _measure_forest(range_m: F32, known: Noise, params: SensorParams) -> tuple[float, Noise]:
+def _measure_forest_noise(range_m: F32, known: Noise, params: SensorParams) -> tuple[float, Noise]:
     """Measure the range noise in a forest [m], 0 until it is known.
 
     It is rounded to half octaves, so that labels hardly depend on which blocks it was measured in.
@@ -714,7 +733,8 @@ def _measure_forest(range_m: F32, known: Noise, params: SensorParams) -> tuple[f
 
 def _strides(
     wide: F32,
-    lines: tuple[int, int],
+    line: int,
+    n_lines: int,
     plane: ScanPlane,
     noise_m: F64,
     turn: Turn,
@@ -722,27 +742,26 @@ def _strides(
 ) -> I64:
     """Decide how many lines away the neighbours are, of the lines that are labelled and three before and after them.
 
-    ``lines`` are the number of a block's first line, and how many it has.
+    ``line`` is the number of the block's first line.
     """
-    (line, n_lines) = lines
     n_labelled = len(wide) - 2 * SPACED_LINES
     spaced = limits.spaced
     if spaced is None:
         return np.ones(n_labelled + 2 * BESIDE_LINES, np.int64)
     thresholds = partial(spaced.thresholds, limits.smoothness, step_rad=float(plane.step_rad))
-    counts = leaves_again(wide, line, noise_m, thresholds)
+    counts = count_repeated_leaves(wide, line, noise_m, thresholds)
     ahead = n_labelled - n_lines
     return turn.hand_on(
         SPACING, lambda known: strides_of(counts, known, line, n_lines, spaced, ahead)
     )
 
 
-def see(
+def measure_neighbours(
     window: F32,
     smooth: U8,
     plane: ScanPlane,
     limits: Limits,
-) -> Seen:
+) -> Neighbourhoods:
     """Measure every shot's neighbourhood: near neighbours, smoothness, direction of the surface.
 
     ``window`` (lines, M) float32; ``smooth`` (lines of the result, M) uint8.
@@ -750,11 +769,11 @@ def see(
     near = near_neighbours(window, plane, limits.near)
     range_m = window[INNER_LINES:-INNER_LINES]
     upright, level = chords(range_m, smooth, plane, limits.chords)
-    return Seen(window, range_m, Neighbours(near, smooth, upright, level))
+    return Neighbourhoods(window, range_m, Neighbours(near, smooth, upright, level))
 
 
 def evidence_of(
-    seen: Seen,
+    neighbourhoods: Neighbourhoods,
     wide_m: F32,
     above_m: F32,
     plane: ScanPlane,
@@ -764,9 +783,10 @@ def evidence_of(
 
     ``wide_m`` (lines + 2 n, M) float32; ``above_m`` (lines, M) float32.
     """
-    texture = texture_of(seen.range_m, seen.neighbours, plane, limits)
-    standing = stand(wide_m, above_m, seen.neighbours, plane, limits)
-    return Evidence(seen.neighbours, above_m, texture, standing, AROUND_LINES - INNER_LINES)
+    neighbours = neighbourhoods.neighbours
+    texture = texture_of(neighbourhoods.range_m, neighbours, plane, limits)
+    strips = measure_strips(wide_m, above_m, neighbours, plane, limits)
+    return Evidence(neighbours, above_m, texture, strips, AROUND_LINES - INNER_LINES)
 
 
 def _decide(
@@ -782,34 +802,34 @@ def _decide(
 
     Return the labels and, where they are asked for, the reasons.
     """
-    seen = stream.seen
     bits = np.uint8(LABEL_BITS)
-    neighbours = seen.neighbours
+    range_m = stream.neighbourhoods.range_m
+    neighbours = stream.neighbourhoods.neighbours
     texture = evidence.texture
     rules = decide(
-        stream.wide_m, neighbours, ground, texture, evidence.standing, plane, limits.decision
+        stream.wide_m, neighbours, ground, texture, evidence.strips, plane, limits.decision
     )
     decided = rules & bits
-    voted = vote(decided, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, limits.votes)
-    again = ask_again(
-        (decided, voted), seen.range_m, neighbours.smooth, ground.above_m, texture, limits.again
+    voted = vote(decided, range_m[WIDE_LINES:-WIDE_LINES], plane, limits.votes)
+    late = find_late_noise(
+        decided, voted, range_m, neighbours.smooth, ground.above_m, texture, limits.again
     )
-    asked = again & bits
+    late_labels = late & bits
     inner = slice(INNER_LINES + 1, -INNER_LINES - 1)
-    labels = find_curbs(asked, seen.range_m[inner], ground.above_m[inner], plane, limits.curbs)
+    labels = find_curbs(late_labels, range_m[inner], ground.above_m[inner], plane, limits.curbs)
     if not with_reasons:
         return labels, labels
-    own = slice(VOTE_LINES, -VOTE_LINES)
-    reasons = np.where(voted == decided[own], rules[own], voted | np.uint8(VOTED))
-    reasons = np.where(asked == again, reasons, again)
-    return labels, np.where(labels == asked, reasons, np.uint8(Reason.CURB_FACE))
+    lines = slice(VOTE_LINES, -VOTE_LINES)
+    reasons = np.where(voted == decided[lines], rules[lines], voted | np.uint8(VOTED))
+    reasons = np.where(late_labels == late, reasons, late)
+    return labels, np.where(labels == late_labels, reasons, np.uint8(Reason.CURB_FACE))
 
 
 def _with_cars(
     labels: U8,
     range_m: F32,
     n_lines: int,
-    ground: Grounds,
+    ground: BlockGround,
     evidence: Evidence,
     turn: Turn,
     plane: ScanPlane,
@@ -821,10 +841,11 @@ def _with_cars(
     """
     above_m = ground.above_m[ground.margin : ground.margin + len(labels)]
     texture = evidence.texture[1 : 1 + len(labels)]
-    seen = labels, range_m, above_m, texture
-    return turn.hand_on(
-        PROFILES, lambda before: find_cars(seen, n_lines, plane, before, limits.roofs)
-    )
+
+    def find(before: U8) -> tuple[U8, U8]:
+        return find_cars(labels, range_m, above_m, texture, n_lines, plane, before, limits.roofs)
+
+    return turn.hand_on(PROFILES, find)
 
 
 def window_of(
@@ -837,8 +858,8 @@ def window_of(
     width = range_m.shape[1]
     following = np.full((SPACED_LINES + ahead, width), np.nan, np.float32)
     if next_m is not None:
-        given = next_m[: SPACED_LINES + ahead]
-        following[: len(given)] = given
+        next_lines = next_m[: SPACED_LINES + ahead]
+        following[: len(next_lines)] = next_lines
     return np.concatenate([tail, range_m, following])
 
 
@@ -873,10 +894,11 @@ def label_further_returns(
     >>> import numpy as np
     >>> image = np.array([[6.0, 6.1, 20.0]], dtype=np.float32)
     >>> labels = np.array([[Label.VEGETATION, Label.VEGETATION, Label.BUILDING]], dtype=np.uint8)
-    >>> own = np.zeros(2, np.int32), np.array([0, 2], np.int32), np.array([9.0, 30.0], np.float32)
-    >>> [Label(label).name for label in label_further_returns(image, labels, *own, 0.3)]
+    >>> further = np.zeros(2, np.int32), np.array([0, 2], np.int32), np.array([9.0, 30.0], np.float32)
+    >>> [Label(label).name for label in label_further_returns(image, labels, *further, 0.3)]
     ['VEGETATION', 'NOISE']
     """
-    found = label_extra_returns(range_m, labels, line, column, range_m_extra, limit_m, limit_m)
-    found[(labels[line, column] == Label.VEGETATION) & (found == Label.NOISE)] = Label.VEGETATION
-    return found
+    further = label_extra_returns(range_m, labels, line, column, range_m_extra, limit_m, limit_m)
+    is_behind_leaf = (labels[line, column] == Label.VEGETATION) & (further == Label.NOISE)
+    further[is_behind_leaf] = Label.VEGETATION
+    return further

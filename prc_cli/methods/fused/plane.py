@@ -9,6 +9,7 @@ import numpy as np
 from prc_cli import kernels
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, F64, I32
+from prc_cli.methods.fused.records import Beams, Sides
 
 AROUND_LINES = 5
 """Lines before and after a block that its labels depend on."""
@@ -60,9 +61,14 @@ class ScanPlane:
     """(n,) int32, columns of the negative side."""
 
     @property
-    def beams(self) -> tuple[F32, F32]:
-        """Return sine and cosine."""
-        return self.sine, self.cosine
+    def beams(self) -> Beams:
+        """Directions of the beams."""
+        return Beams(self.sine, self.cosine)
+
+    @property
+    def sides(self) -> Sides:
+        """Columns on either side."""
+        return Sides(self.left, self.right)
 
     @classmethod
     def of(cls, beam_rad: F64) -> ScanPlane:

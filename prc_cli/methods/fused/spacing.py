@@ -64,7 +64,7 @@ class Spacing:
 
 
 @stage("spacing")
-def leaves_again(
+def count_repeated_leaves(
     window_m: F32,
     first_line: int,
     noise_m: F64,
@@ -82,9 +82,9 @@ def leaves_again(
         kernels.leaf_repeats(
             window_m[first + a - MOST_LAG : first + b],
             -(first_line + begin + a) % EVERY_LINE,
-            thresholds(each),
+            thresholds(stretch_noise_m),
         )
-        for a, b, each in stretches(noise_m[first:end])
+        for a, b, stretch_noise_m in stretches(noise_m[first:end])
     ]
     return np.concatenate(counts) if len(counts) > 1 else counts[0]
 
@@ -141,9 +141,9 @@ def _stride(sums: F64, now: int, limits: Spaced) -> int:
         return now
     # leaves that are as far by chance: as many as in the line itself
     chance = counts[-1][1] / max(counts[-1][0], 1.0)
-    for lag, (there, again) in zip(LAGS, counts, strict=False):
+    for lag, (n_leaves, n_repeated) in zip(LAGS, counts, strict=False):
         limit = limits.keep_share if now == STANDS or lag < now else limits.share
-        if not again > (chance + limit * (1.0 - chance)) * there:
+        if not n_repeated > (chance + limit * (1.0 - chance)) * n_leaves:
             return lag
     return STANDS
 
@@ -163,8 +163,8 @@ def spaced_pairs(
     """
     margin = PAIR_LINES * MOST_LAG
     counts = [
-        _spaced_pairs(window_m[a : b + 2 * margin], strides[a:b], plane, each, limits)
-        for a, b, each in stretches(noise_m)
+        _spaced_pairs(window_m[a : b + 2 * margin], strides[a:b], plane, stretch_noise_m, limits)
+        for a, b, stretch_noise_m in stretches(noise_m)
     ]
     return np.concatenate(counts) if len(counts) > 1 else counts[0]
 
@@ -200,12 +200,12 @@ def _spaced_pairs(
         last = int(lines[-1])
         # every stride-th line is a stream of its own
         for phase in range(first, min(first + stride, last + 1)):
-            own = np.arange(phase, last + 1, stride)
+            phase_lines = np.arange(phase, last + 1, stride)
             before = margin + phase - PAIR_LINES * stride
             rows = np.ascontiguousarray(
-                window_m[before : margin + own[-1] + PAIR_LINES * stride + 1 : stride]
+                window_m[before : margin + phase_lines[-1] + PAIR_LINES * stride + 1 : stride]
             )
             counts = smooth_pairs(rows, plane, noise_m, limits)
-            is_own = strides[own] == stride
-            smooth[own[is_own]] = counts[is_own]
+            has_stride = strides[phase_lines] == stride
+            smooth[phase_lines[has_stride]] = counts[has_stride]
     return smooth

@@ -45,15 +45,16 @@ def _mark_leaves(
         limits[i] = base + per_m * ranges[i]
     leaves[0] = leaves[m - 1] = np.uint8(0)
     before = ranges[: m - 2]
-    own = ranges[1 : m - 1]
+    middle = ranges[1 : m - 1]
     after = ranges[2:]
     limit = limits[1 : m - 1]
     marks = leaves[1 : m - 1]
     for i in range(m - 2):
-        one = own[i] - before[i]
-        two = after[i] - own[i]
-        steps = (abs(one) > limit[i]) & (abs(two) > limit[i]) & (abs(two - one) > limit[i])
-        marks[i] = np.uint8(steps & (abs(one) < near) & (abs(two) < near))
+        rise_m = middle[i] - before[i]
+        next_m = after[i] - middle[i]
+        steps = (abs(rise_m) > limit[i]) & (abs(next_m) > limit[i])
+        steps &= abs(next_m - rise_m) > limit[i]
+        marks[i] = np.uint8(steps & (abs(rise_m) < near) & (abs(next_m) < near))
     # a ledge or a window's frame is one such shot, leaves are several
     n = np.int32(0)
     last = np.uint8(0)
@@ -101,11 +102,15 @@ def leaf_repeats(range_m: F32_2, first: int, thresholds: SpacingThresholds) -> I
     limits = np.empty(m, np.float32)
     leaves = np.empty(m, np.uint8)
     for line in range(first, n_lines, EVERY_LINE):
-        own = range_m[line + MOST_LAG]
-        if _mark_leaves(own, thresholds, limits, leaves) == 0:
+        ranges = range_m[line + MOST_LAG]
+        if _mark_leaves(ranges, thresholds, limits, leaves) == 0:
             continue
         for k in range(len(LAGS)):
-            _count_again(own, range_m[line + MOST_LAG - LAGS[k]], limits, leaves, counts[line, k])
+            _count_again(
+                ranges, range_m[line + MOST_LAG - LAGS[k]], limits, leaves, counts[line, k]
+            )
         last = m - BESIDE
-        _count_again(own[:last], own[BESIDE:], limits[:last], leaves[:last], counts[line, ROWS - 1])
+        _count_again(
+            ranges[:last], ranges[BESIDE:], limits[:last], leaves[:last], counts[line, ROWS - 1]
+        )
     return counts

@@ -9,20 +9,28 @@ and posts are no walls: lines on both sides see past them.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from prc_cli.core.types import F32, F32_1, F32_2, I32, U8, U8_2, U64_2
+from prc_cli.core.types import F32, F32_2, I32, U8, U8_2, U64_2
 from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.methods.fused.records import (
+    FENCE,
+    FEW_SHOTS,
+    POST,
+    SHORT,
+    SLOT_M,
+    SLOTS,
+    SMALL,
+    STRIP_M,
+    STRIPS,
+    THIN,
+    Beams,
+    FilledSlots,
+    Neighbours,
+    StripSums,
+    Walls,
+)
 from prc_cli.methods.fused.thresholds import ColumnThresholds, StripThresholds, WallThresholds
 
-Slots = NDArray[np.uint64]
-
-STRIPS = 320
-STRIP_M = np.float32(0.5)
-SLOT_M = np.float32(0.25)
-"""Number of strips, half of them on either side, their width and the height of a slot [m]."""
-SLOTS = 64
-"""Slots of a strip; the last holds everything higher."""
 LINES = 2
 """Lines before and after that are combined with a line."""
 NO_TOP = np.float32(-1e9)
@@ -33,11 +41,6 @@ UPRIGHT_CHORDS = 2
 """Least upright chords, of three, of a shot on an upright surface."""
 _FAR_BINS = np.float32(1e6)
 """Limit of bin numbers, so that they fit an integer."""
-COLUMN, THIN, SHORT, FEW, SMALL, FENCE = (np.uint8(kind) for kind in (1, 2, 3, 4, 5, 6))
-"""What stands alone: a trunk or post.
-
-a thin or short piece; one of few shots; something low; a part of a fence.
-"""
 FENCE_LINES = (9, 30)
 FENCE_M = np.float32(0.2)
 FENCE_SEEN = 6
@@ -69,9 +72,9 @@ def _bin(y: np.float32, width: np.float32) -> np.int32:
 
 @helper
 def _count_on(
-    own: F32,
-    beside: F32,
-    beyond: F32,
+    range_m: F32,
+    beside_m: F32,
+    beyond_m: F32,
     jump: np.float32,
     far: np.float32,
     lines: U8,
@@ -80,27 +83,27 @@ def _count_on(
 
     A single missing shot is no end.
     """
-    for i in range(len(own)):
-        there = beside[i] if beside[i] == beside[i] else beyond[i]
-        goes_on = (own[i] != own[i]) | (abs(own[i] - there) < jump)
-        is_end = not (there <= own[i] + jump)
+    for i in range(len(range_m)):
+        next_m = beside_m[i] if beside_m[i] == beside_m[i] else beyond_m[i]
+        goes_on = (range_m[i] != range_m[i]) | (abs(range_m[i] - next_m) < jump)
+        is_end = not (next_m <= range_m[i] + jump)
         more = np.uint8(min(lines[i] & COUNT, COUNT - np.uint8(1)) + np.uint8(1)) | (
             lines[i] & CLOSE
         )
-        end = np.uint8(1) if not (there <= own[i] + far) else np.uint8(1) | CLOSE
+        end = np.uint8(1) if not (next_m <= range_m[i] + far) else np.uint8(1) | CLOSE
         lines[i] = more if goes_on else (end if is_end else NO_END)
 
 
 @helper
 def _mark_free(
-    lines: tuple[U8, U8],
+    before: U8,
+    after: U8,
     above: F32,
     near: U8,
     thresholds: ColumnThresholds,
     marks: U8,
 ) -> None:
     """Mark the shots of a line that few lines see, and lines on both sides see past."""
-    before, after = lines
     most = np.int32(thresholds.lines) + np.int32(1)
     few = np.int32(thresholds.small_lines) + np.int32(1)
     for i in range(len(marks)):
@@ -147,10 +150,10 @@ def _bulge(
         return np.float32(0.0)
     left = right = middle = np.float32(0.0)
     for k in range(n):
-        there = window_m[first + k, i]
-        left += there if k < quarter else np.float32(0.0)
-        right += there if k >= n - quarter else np.float32(0.0)
-        middle += there if (k >= quarter) & (k < n - quarter) else np.float32(0.0)
+        range_m = window_m[first + k, i]
+        left += range_m if k < quarter else np.float32(0.0)
+        right += range_m if k >= n - quarter else np.float32(0.0)
+        middle += range_m if (k >= quarter) & (k < n - quarter) else np.float32(0.0)
     left = left / np.float32(quarter)
     right = right / np.float32(quarter)
     middle = middle / np.float32(n - 2 * quarter)
@@ -165,15 +168,15 @@ def _climb(
     line: int,
     i: int,
     up: int,
-    beams: tuple[F32, F32],
+    beams: Beams,
     most: np.float32,
 ) -> np.float32:
     """Return how much higher than a shot lines around see the same thing, as a slanted plane climbs it [m]."""
     sine, cosine = beams
-    own = window_m[line, i]
+    range_m = window_m[line, i]
     best = np.float32(0.0)
-    side = own * sine[i]
-    foot = -(own * cosine[i])
+    side = range_m * sine[i]
+    foot = -(range_m * cosine[i])
     for way in (-1, 1):
         k = line + way
         j = i
@@ -182,10 +185,10 @@ def _climb(
         while goes_on and 0 <= k < len(window_m) and top - foot < most:
             q = j
             goes_on = False
-            while 0 <= q < len(sine) and own * (cosine[j] - cosine[q]) < CLIMB_M:
-                there = window_m[k, q]
-                if abs(there * sine[q] - side) < CLIMB_SIDE_M:
-                    top = max(top, -(there * cosine[q]))
+            while 0 <= q < len(sine) and range_m * (cosine[j] - cosine[q]) < CLIMB_M:
+                next_m = window_m[k, q]
+                if abs(next_m * sine[q] - side) < CLIMB_SIDE_M:
+                    top = max(top, -(next_m * cosine[q]))
                     j = q
                     goes_on = True
                 q += up
@@ -198,9 +201,9 @@ def _climb(
 def _is_fence(window_m: F32, line: int, i: int) -> bool:
     """Return whether many lines farther along the street see something as far away in the direction of a shot."""
     n = 0
-    own = window_m[line, i]
+    range_m = window_m[line, i]
     for k in range(max(line - FENCE_LINES[1], 0), min(line + FENCE_LINES[1] + 1, len(window_m))):
-        n += (abs(k - line) >= FENCE_LINES[0]) & (abs(window_m[k, i] - own) < FENCE_M)
+        n += (abs(k - line) >= FENCE_LINES[0]) & (abs(window_m[k, i] - range_m) < FENCE_M)
     return n >= FENCE_SEEN
 
 
@@ -208,21 +211,21 @@ def _is_fence(window_m: F32, line: int, i: int) -> bool:
 def _kind(
     window_m: F32,
     line: int,
-    ends: tuple[int, int],
-    points: tuple[F32, F32],
-    lines: tuple[U8, U8],
+    first: int,
+    end: int,
+    side: F32,
+    above: F32,
+    before: U8,
+    after: U8,
     smooth: U8,
     marks: U8,
-    beams: tuple[F32, F32],
+    beams: Beams,
     thresholds: ColumnThresholds,
 ) -> np.uint8:
     """Return what the run from one shot to before another is.
 
     a trunk or post, something low, or perhaps a piece.
     """
-    (first, end) = ends
-    (side, above) = points
-    (before, after) = lines
     n = n_free = n_thin = n_few = n_far = n_even = 0
     head = first
     top = thresholds.high_m
@@ -253,7 +256,9 @@ def _kind(
         thresholds.shots, thresholds.small_share * np.float32(end - first)
     )
     if is_few and few_high < top and deep <= thresholds.small_m:
-        up = 1 if beams[1][max(head - 1, 0)] > beams[1][min(head + 1, len(side) - 1)] else -1
+        up = (
+            1 if beams.cosine[max(head - 1, 0)] > beams.cosine[min(head + 1, len(side) - 1)] else -1
+        )
         climbed = few_high + _climb(window_m, line, head, up, beams, top)
         is_far = np.float32(n_far) >= thresholds.small_share * np.float32(n_few)
         is_person = climbed > thresholds.person_m and (
@@ -267,7 +272,7 @@ def _kind(
             is_post = (
                 is_far and deep < thresholds.post_m and (is_post or climbed < thresholds.post_top_m)
             )
-            return COLUMN if is_post else SMALL
+            return POST if is_post else SMALL
     deep = outer - inner
     tall = high - low
     if np.float32(n_free) < max(thresholds.shots, thresholds.share * np.float32(n)):
@@ -275,7 +280,7 @@ def _kind(
     if deep > thresholds.deep_m or low > thresholds.low_m or tall < thresholds.tall_m or high < top:
         return np.uint8(0)
     if 2 * n_thin > n_free:
-        return COLUMN
+        return POST
     n_asked = n_round = k = 0
     stride = max(n_free // SAMPLES, 1)
     for j in range(first, end):
@@ -287,7 +292,7 @@ def _kind(
             n_round += int((radius >= thresholds.round_m) & (radius <= thresholds.deep_m))
             n_asked += 1
         k += 1
-    return COLUMN if 2 * n_round > n_asked else np.uint8(0)
+    return POST if 2 * n_round > n_asked else np.uint8(0)
 
 
 @inlined
@@ -309,8 +314,8 @@ def _is_short(
 def find_columns(
     window_m: F32_2,
     above_m: F32_2,
-    counts: tuple[U8_2, U8_2, U8_2, U8_2],
-    beams: tuple[F32_1, F32_1],
+    neighbours: Neighbours,
+    beams: Beams,
     thresholds: ColumnThresholds,
 ) -> U8_2:
     """Say of every shot what it is of, if that stands alone.
@@ -318,7 +323,7 @@ def find_columns(
     Some lines wide, with something far on both sides.
 
     ``window_m`` (lines + 2 n, M) float32, metres; ``above_m`` (lines, M) float32, metres;
-    ``counts`` tuple of (lines, M) uint8; ``beams`` tuple of (M,) float32; returns (lines, M) uint8.
+    ``neighbours`` (lines, M) uint8; ``beams`` (M,) float32; returns (lines, M) uint8.
     """
     n_lines, m = above_m.shape
     margin = (len(window_m) - n_lines) // 2
@@ -330,7 +335,7 @@ def find_columns(
         _count_on(window_m[k], window_m[k + 1], window_m[k + 2], jump, far, lines)
         if k < margin + n_lines:
             after[k - margin] = lines
-    found = np.zeros((n_lines, m), np.uint8)
+    kinds = np.zeros((n_lines, m), np.uint8)
     marks = np.empty(m, np.uint8)
     side = np.empty(m, np.float32)
     lines[:] = NO_END
@@ -341,11 +346,11 @@ def find_columns(
         line = k - margin
         ranges = window_m[k]
         above = above_m[line]
-        near = counts[0][line]
-        smooth = counts[1][line]
-        _mark_free((lines, after[line]), above, near, thresholds, marks)
+        near = neighbours.near[line]
+        smooth = neighbours.smooth[line]
+        _mark_free(lines, after[line], above, near, thresholds, marks)
         for i in range(m):
-            side[i] = ranges[i] * beams[0][i]
+            side[i] = ranges[i] * beams.sine[i]
         end = 0
         for i in range(m):
             if marks[i] == 0 or i < end:
@@ -356,26 +361,40 @@ def find_columns(
                 first -= 1
             while end < m and _goes_on(ranges, near, above, end - 1, end, thresholds):
                 end += 1
-            ends = (first, end)
-            place = (side, above)
-            seen = (lines, after[line])
-            kind = _kind(window_m, k, ends, place, seen, smooth, marks, beams, thresholds)
+            kind = _kind(
+                window_m,
+                k,
+                first,
+                end,
+                side,
+                above,
+                lines,
+                after[line],
+                smooth,
+                marks,
+                beams,
+                thresholds,
+            )
             is_piece = kind == 0 and _is_short(ranges, above, first, end, thresholds)
             for j in range(first, end):
                 n_seen = _n_seen(lines[j], after[line, j])
-                own = kind
+                kind_of_shot = kind
                 if kind == 0 and n_seen <= thresholds.piece_lines:
-                    own = THIN if n_seen <= thresholds.slim_lines else (SHORT if is_piece else own)
-                    own = FEW if own != 0 and np.float32(end - first) < thresholds.shots else own
-                is_own = marks[j] & FREE != 0 and (
-                    kind != COLUMN or np.float32(smooth[j]) >= thresholds.smooth
+                    if n_seen <= thresholds.slim_lines:
+                        kind_of_shot = THIN
+                    elif is_piece:
+                        kind_of_shot = SHORT
+                    if kind_of_shot != 0 and np.float32(end - first) < thresholds.shots:
+                        kind_of_shot = FEW_SHOTS
+                is_part = marks[j] & FREE != 0 and (
+                    kind != POST or np.float32(smooth[j]) >= thresholds.smooth
                 )
-                if is_own or kind == SMALL:
+                if is_part or kind == SMALL:
                     is_fence = (
                         kind != 0 and above[j] < thresholds.high_m and _is_fence(window_m, k, j)
                     )
-                    found[line, j] = FENCE if is_fence else own
-    return found
+                    kinds[line, j] = FENCE if is_fence else kind_of_shot
+    return kinds
 
 
 @helper
@@ -421,17 +440,18 @@ def _mark_rough(pairs: U8, most: np.float32, rough: U8) -> None:
         rough[i] = np.uint8(np.float32(pairs[i]) <= most)
     for away in (1, 2):
         before = pairs[: m - 2 * away]
-        own = rough[away : m - away]
+        middle = rough[away : m - away]
         after = pairs[2 * away :]
         for i in range(m - 2 * away):
-            own[i] &= np.uint8((np.float32(before[i]) <= most) & (np.float32(after[i]) <= most))
+            middle[i] &= np.uint8((np.float32(before[i]) <= most) & (np.float32(after[i]) <= most))
 
 
 @helper
 def _mark_kinds(
-    points: tuple[F32, F32],
-    counts: tuple[U8, U8, U8, U8],
-    columns: U8,
+    height: F32,
+    above: F32,
+    neighbours: Neighbours,
+    kinds: U8,
     thresholds: StripThresholds,
     slots: U8,
     rough: U8,
@@ -442,8 +462,7 @@ def _mark_kinds(
 
     What is level and higher than the scanner is seen from below: a ceiling.
     """
-    height, above = points
-    _, pairs, up, flat = counts
+    _, pairs, up, flat = neighbours
     foot = thresholds.foot_m
     most_rough = thresholds.rough
     least_smooth = thresholds.smooth
@@ -454,7 +473,7 @@ def _mark_kinds(
         slots[i] = np.uint8(min(h / SLOT_M, np.float32(SLOTS - 1)))
     _mark_rough(pairs, most_rough, rough)
     for i in range(len(above)):
-        is_wall = (up[i] >= UPRIGHT_CHORDS) & (columns[i] != COLUMN)
+        is_wall = (up[i] >= UPRIGHT_CHORDS) & (kinds[i] != POST)
         upright[i] = np.uint8((np.float32(pairs[i]) >= least_smooth) & is_wall)
     for i in range(len(above)):
         level[i] = np.uint8(
@@ -467,19 +486,9 @@ def _mark_kinds(
 
 
 @helper
-def _keep_walls(
-    upright: U8,
-    extents: F32,
-    side: F32,
-    height: F32,
-    wall: F32,
-    place: F32,
-    top: F32,
-) -> None:
-    """Write the shares of a line's shots in walls.
-
-    Height extent, that times side, and top; 0 or no top off walls.
-    """
+def _keep_walls(upright: U8, side: F32, height: F32, shares: StripSums) -> None:
+    """Write the shares of a line's shots in walls, whose ``length_m`` is known; 0 or no top off walls."""
+    extents, wall, place, top = shares
     for i in range(len(upright)):
         wall[i] = extents[i] if upright[i] != 0 else np.float32(0.0)
     for i in range(len(upright)):
@@ -494,12 +503,12 @@ def _fill_line(
     strips: I32,
     slot: U8,
     is_rough: U8,
-    heights: tuple[F32, F32, F32, F32],
-    slots: tuple[Slots, Slots],
-    sums: tuple[F32, F32, F32, F32],
+    shares: StripSums,
+    slots: FilledSlots,
+    sums: StripSums,
 ) -> None:
     """Put the shots of a list into the strips of their line."""
-    extents, on_wall, at, top_of = heights
+    extent_of, wall_of, place_of, top_of = shares
     every, rough = slots
     length, wall, place, top = sums
     # sums stay in registers until the next shot is in another strip
@@ -512,15 +521,15 @@ def _fill_line(
     highest = top[b]
     for k in range(len(shots)):
         i = np.uint64(shots[k])
-        own = np.uint64(strips[i])
-        if own != b:
+        strip = np.uint64(strips[i])
+        if strip != b:
             every[b] = bits
             rough[b] = rough_bits
             length[b] = all_m
             wall[b] = wall_m
             place[b] = place_m
             top[b] = highest
-            b = own
+            b = strip
             bits = every[b]
             rough_bits = rough[b]
             all_m = length[b]
@@ -529,9 +538,9 @@ def _fill_line(
             highest = top[b]
         bits |= np.uint64(1) << np.uint64(slot[i])
         rough_bits |= np.uint64(is_rough[i]) << np.uint64(slot[i])
-        all_m += extents[i]
-        wall_m += on_wall[i]
-        place_m += at[i]
+        all_m += extent_of[i]
+        wall_m += wall_of[i]
+        place_m += place_of[i]
         highest = max(highest, top_of[i])
     every[b] = bits
     rough[b] = rough_bits
@@ -573,18 +582,17 @@ def _mark_levels(
 def fill_strips(
     range_m: F32_2,
     above_m: F32_2,
-    counts: tuple[U8_2, U8_2, U8_2, U8_2],
-    columns: U8_2,
-    beams: tuple[F32_1, F32_1],
+    neighbours: Neighbours,
+    kinds: U8_2,
+    beams: Beams,
     step: np.float32,
     thresholds: StripThresholds,
-) -> tuple[U64_2, U64_2, F32_2, F32_2, F32_2, F32_2, U8_2]:
+) -> tuple[FilledSlots, StripSums, U8_2]:
     """Sort shots above the ground into strips, line by line.
 
-    ``range_m, above_m`` (lines, M) float32, metres; ``counts`` tuple of (lines, M) uint8;
-    ``columns`` (lines, M) uint8; ``beams`` tuple of (M,) float32; returns every, rough : (lines,
-    STRIPS) uint64, length_m, wall_m, place, top_m : (lines, STRIPS) float32, ``levels`` (lines, 2
-    STRIPS) uint8.
+    ``range_m, above_m`` (lines, M) float32, metres; ``neighbours`` (lines, M) uint8;
+    ``kinds`` (lines, M) uint8; ``beams`` (M,) float32; returns the slots and sums of every strip,
+    (lines, STRIPS), and ``levels`` (lines, 2 STRIPS) uint8.
     """
     n_lines, m = range_m.shape
     side = np.empty(m, np.float32)
@@ -600,7 +608,8 @@ def fill_strips(
     strips = np.empty(m, np.int32)
     slot = np.empty(m, np.uint8)
     marks = np.empty((3, m), np.uint8)
-    heights = (
+    # of every shot of a line
+    shares = StripSums(
         np.empty(m, np.float32),
         np.empty(m, np.float32),
         np.empty(m, np.float32),
@@ -612,24 +621,43 @@ def fill_strips(
             length[k, b] = wall[k, b] = place[k, b] = np.float32(0.0)
             top[k, b] = NO_TOP
         levels[k] = np.uint8(0)
-        own = range_m[k]
+        ranges = range_m[k]
         above = above_m[k]
         for i in range(m):
-            side[i] = own[i] * beams[0][i]
+            side[i] = ranges[i] * beams.sine[i]
         for i in range(m):
-            height[i] = -(own[i] * beams[1][i])
+            height[i] = -(ranges[i] * beams.cosine[i])
         n = _list_counted(
-            own, side, above, counts[0][k], step, thresholds, strips, heights[0], shots
+            ranges,
+            side,
+            above,
+            neighbours.near[k],
+            step,
+            thresholds,
+            strips,
+            shares.length_m,
+            shots,
         )
-        seen = counts[0][k], counts[1][k], counts[2][k], counts[3][k]
+        neighbours_of_line = Neighbours(
+            neighbours.near[k], neighbours.smooth[k], neighbours.upright[k], neighbours.level[k]
+        )
         _mark_kinds(
-            (height, above), seen, columns[k], thresholds, slot, marks[0], marks[1], marks[2]
+            height,
+            above,
+            neighbours_of_line,
+            kinds[k],
+            thresholds,
+            slot,
+            marks[0],
+            marks[1],
+            marks[2],
         )
-        _keep_walls(marks[1], heights[0], side, height, heights[1], heights[2], heights[3])
-        sums = length[k], wall[k], place[k], top[k]
-        _fill_line(shots[:n], strips, slot, marks[0], heights, (every[k], rough[k]), sums)
+        _keep_walls(marks[1], side, height, shares)
+        sums = StripSums(length[k], wall[k], place[k], top[k])
+        slots = FilledSlots(every[k], rough[k])
+        _fill_line(shots[:n], strips, slot, marks[0], shares, slots, sums)
         _mark_levels(shots[:n], marks[2], side, thresholds.jump_m, levels[k])
-    return every, rough, length, wall, place, top, levels
+    return FilledSlots(every, rough), StripSums(length, wall, place, top), levels
 
 
 @kernel()
@@ -716,17 +744,17 @@ def _top_around(
 def _lines_around(
     values: F32,
     line: int,
-    there: U8,
+    is_filled: U8,
     counts: U8,
 ) -> None:
     """Count the lines, of five, that have something in a strip or beside it."""
     counts[:] = 0
-    there[0] = there[STRIPS + 1] = 0
+    is_filled[0] = is_filled[STRIPS + 1] = 0
     for k in range(line, line + 2 * LINES + 1):
         for b in range(STRIPS):
-            there[b + 1] = values[k, b] > 0
+            is_filled[b + 1] = values[k, b] > 0
         for b in range(STRIPS):
-            counts[b] += there[b] | there[b + 1] | there[b + 2]
+            counts[b] += is_filled[b] | is_filled[b + 1] | is_filled[b + 2]
 
 
 @helper
@@ -735,10 +763,9 @@ def _look_out(
     wall_at: F32,
     tops: F32,
     thresholds: WallThresholds,
-    found: tuple[F32, F32, F32],
+    walls: Walls,
 ) -> None:
     """Write for every strip of a line the wall in front of it, seen from the scanner, and the wall behind it."""
-    at, top, ahead = found
     half = STRIPS // 2
     for s in range(2):
         way = 1 if s == 0 else -1
@@ -749,8 +776,8 @@ def _look_out(
             if is_wall[b]:
                 last = b
             if last >= 0:
-                at[b] = wall_at[last]
-                top[b] = tops[last]
+                walls.side_m[b] = wall_at[last]
+                walls.top_m[b] = tops[last]
         last = -1
         for k in range(half - 1, -1, -1):
             b = first + way * k
@@ -760,47 +787,45 @@ def _look_out(
                 last >= 0
                 and abs(wall_at[last]) - np.float32(k) * STRIP_M <= thresholds.before_m + STRIP_M
             ):
-                ahead[b] = wall_at[last]
+                walls.ahead_m[b] = wall_at[last]
 
 
 @kernel()
-def find_walls(
-    sums: tuple[F32_2, F32_2, F32_2, F32_2], flanks: U8_2, thresholds: WallThresholds
-) -> tuple[F32_2, F32_2, F32_2]:
+def find_walls(sums: StripSums, flanks: U8_2, thresholds: WallThresholds) -> Walls:
     """Find the walls beside every line: strips with enough smooth upright surface.
 
-    ``sums`` tuple of (lines + 4, STRIPS) float32; ``flanks`` (lines, STRIPS) uint8; returns at_m,
-    top_m : (lines, STRIPS) float32, metres, ``ahead_m`` (lines, STRIPS) float32, metres.
+    ``sums`` (lines + 4, STRIPS) float32; ``flanks`` (lines, STRIPS) uint8; returns the walls,
+    (lines, STRIPS) float32, metres.
     """
-    length, wall, place, top = sums
-    n_lines = length.shape[0] - 2 * LINES
-    at = np.empty((n_lines, STRIPS), np.float32)
-    tops = np.empty((n_lines, STRIPS), np.float32)
-    ahead = np.empty((n_lines, STRIPS), np.float32)
+    n_lines = sums.length_m.shape[0] - 2 * LINES
+    walls = Walls(
+        np.empty((n_lines, STRIPS), np.float32),
+        np.empty((n_lines, STRIPS), np.float32),
+        np.empty((n_lines, STRIPS), np.float32),
+    )
     lines = np.empty(STRIPS + 2, np.float32)
-    lengths = np.empty(STRIPS, np.float32)
-    walls = np.empty(STRIPS, np.float32)
+    length_m = np.empty(STRIPS, np.float32)
+    wall_m = np.empty(STRIPS, np.float32)
     places = np.empty(STRIPS, np.float32)
-    highest = np.empty(STRIPS, np.float32)
+    top_m = np.empty(STRIPS, np.float32)
     wall_at = np.empty(STRIPS, np.float32)
     is_wall = np.empty(STRIPS, np.uint8)
-    there = np.empty(STRIPS + 2, np.uint8)
-    n_lines_there = np.empty(STRIPS, np.uint8)
-    enough = thresholds.height_m * np.float32(2 * LINES + 1)
+    is_filled = np.empty(STRIPS + 2, np.uint8)
+    n_filled = np.empty(STRIPS, np.uint8)
+    least_m = thresholds.height_m * np.float32(2 * LINES + 1)
     for line in range(n_lines):
-        _sum_around(length, line, lines, lengths)
-        _sum_around(wall, line, lines, walls)
-        _sum_around(place, line, lines, places)
-        _top_around(top, line, lines, highest)
-        _lines_around(wall, line, there, n_lines_there)
+        _sum_around(sums.length_m, line, lines, length_m)
+        _sum_around(sums.wall_m, line, lines, wall_m)
+        _sum_around(sums.wall_place, line, lines, places)
+        _top_around(sums.top_m, line, lines, top_m)
+        _lines_around(sums.wall_m, line, is_filled, n_filled)
+        side_m, tops_m, ahead_m = walls.side_m[line], walls.top_m[line], walls.ahead_m[line]
         for b in range(STRIPS):
-            at[line, b] = tops[line, b] = ahead[line, b] = np.float32(0.0)
-            is_wall[b] = (
-                (walls[b] >= enough) & (walls[b] >= thresholds.share * lengths[b]) & (walls[b] > 0)
-            )
-            is_wall[b] &= (flanks[line, b] == 0) & (
-                np.float32(n_lines_there[b]) >= thresholds.lines
-            )
-            wall_at[b] = places[b] / walls[b] if is_wall[b] else np.float32(0.0)
-        _look_out(is_wall, wall_at, highest, thresholds, (at[line], tops[line], ahead[line]))
-    return at, tops, ahead
+            side_m[b] = tops_m[b] = ahead_m[b] = np.float32(0.0)
+            is_tall = (wall_m[b] >= least_m) & (wall_m[b] > 0)
+            is_most = wall_m[b] >= thresholds.share * length_m[b]
+            is_seen = np.float32(n_filled[b]) >= thresholds.lines
+            is_wall[b] = is_tall & is_most & is_seen & (flanks[line, b] == 0)
+            wall_at[b] = places[b] / wall_m[b] if is_wall[b] else np.float32(0.0)
+        _look_out(is_wall, wall_at, top_m, thresholds, Walls(side_m, tops_m, ahead_m))
+    return walls

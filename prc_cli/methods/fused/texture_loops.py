@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from prc_cli.core.types import F32, F32_2, I32, U8, U8_2
 from prc_cli.kernels.cache import helper, kernel
+from prc_cli.methods.fused.records import FiveLines
+from prc_cli.methods.fused.thresholds import DepthThresholds
 
 Pairs = NDArray[np.uint32]
 
@@ -42,24 +44,24 @@ def _count_pairs(
 
 
 @helper
-def _add_lines(lines: tuple[Pairs, Pairs, Pairs, Pairs, Pairs], sums: Pairs) -> None:
+def _add_lines(lines: FiveLines, sums: Pairs) -> None:
     """Add up five lines, column by column."""
-    one, two, three, four, five = lines
+    a, b, c, d, e = lines
     for i in range(len(sums)):
-        sums[i] = one[i] + two[i] + three[i] + four[i] + five[i]
+        sums[i] = a[i] + b[i] + c[i] + d[i] + e[i]
 
 
 @helper
-def _sum_up(values: Pairs, so_far: Pairs) -> None:
+def _sum_up(values: Pairs, sums_before: Pairs) -> None:
     """Write the sums of the first 0, 1, ... columns.
 
     They may overflow, their differences are still right.
     """
     total = np.uint32(0)
-    so_far[0] = total
+    sums_before[0] = total
     for i in range(len(values)):
         total = np.uint32(total + values[i])
-        so_far[i + 1] = total
+        sums_before[i + 1] = total
 
 
 @helper
@@ -82,7 +84,7 @@ def _half_widths(
 
 
 @helper
-def _sums_of_places(columns: I32, so_far: Pairs, sums: Pairs) -> None:
+def _sums_of_places(columns: I32, sums_before: Pairs, sums: Pairs) -> None:
     """Write the sums of the places of a line's shots.
 
     a loop of its own, as all others read memory in order.
@@ -92,7 +94,7 @@ def _sums_of_places(columns: I32, so_far: Pairs, sums: Pairs) -> None:
         half = columns[i]
         first = max(i - int(half), 0)
         last = min(i + int(half) + 1, m)
-        sums[i] = so_far[np.uint64(last)] - so_far[np.uint64(first)]
+        sums[i] = sums_before[np.uint64(last)] - sums_before[np.uint64(first)]
 
 
 @helper
@@ -107,8 +109,8 @@ def _shares(ranges: F32, sums: Pairs, shares: F32) -> None:
 
 @helper
 def _share_at_depth(
-    lines: tuple[F32, F32, F32, F32, F32],
-    pairs: tuple[Pairs, Pairs, Pairs, Pairs, Pairs],
+    ranges: FiveLines,
+    pairs: FiveLines,
     i: int,
     half: int,
     depth_m: np.float32,
@@ -117,25 +119,25 @@ def _share_at_depth(
 
     Where others hide part of it, fewer pairs can be smooth.
     """
-    own = lines[2][i]
-    m = len(lines[2])
+    range_m = ranges.middle[i]
+    m = len(ranges.middle)
     stride = max((half + DEPTH_SHOTS - 1) // DEPTH_SHOTS, 1)
     place = max(i - half // stride * stride, i % stride)
     last = min(i + half + 1, m)
-    one, two, three, four, five = pairs
-    a, b, c, d, e = lines
+    pairs_a, pairs_b, pairs_c, pairs_d, pairs_e = pairs
+    a, b, c, d, e = ranges
     total = np.uint32(0)
     every = np.uint32(0)
     nothing = np.uint32(0)
     while place < last:
         # every word is read, near or not, to avoid a branch
         j = np.uint64(place)
-        total += one[j] if abs(a[j] - own) < depth_m else nothing
-        total += two[j] if abs(b[j] - own) < depth_m else nothing
-        total += three[j] if abs(c[j] - own) < depth_m else nothing
-        total += four[j] if abs(d[j] - own) < depth_m else nothing
-        total += five[j] if abs(e[j] - own) < depth_m else nothing
-        every += one[j] + two[j] + three[j] + four[j] + five[j]
+        total += pairs_a[j] if abs(a[j] - range_m) < depth_m else nothing
+        total += pairs_b[j] if abs(b[j] - range_m) < depth_m else nothing
+        total += pairs_c[j] if abs(c[j] - range_m) < depth_m else nothing
+        total += pairs_d[j] if abs(d[j] - range_m) < depth_m else nothing
+        total += pairs_e[j] if abs(e[j] - range_m) < depth_m else nothing
+        every += pairs_a[j] + pairs_b[j] + pairs_c[j] + pairs_d[j] + pairs_e[j]
         place += stride
     n_shots = np.int32(total >> np.uint32(16))
     n_pairs = np.int32(total & np.uint32(0xFFFF))
@@ -148,24 +150,25 @@ def _share_at_depth(
 
 @helper
 def _look_at_depth(
-    lines: tuple[F32, F32, F32, F32, F32],
-    pairs: tuple[Pairs, Pairs, Pairs, Pairs, Pairs],
+    ranges: FiveLines,
+    pairs: FiveLines,
     columns: I32,
     smooth: U8,
-    limits: tuple[np.float32, np.float32, np.float32],
+    thresholds: DepthThresholds,
     shares: F32,
     shots: I32,
 ) -> None:
     """Raise the share of rough places around smooth shots to that of what is about as far away, if it is more."""
-    rough, depth_m, least = limits
-    ranges = lines[2]
+    range_m = ranges.middle
     n = 0
     for i in range(len(shares)):
         shots[n] = i
-        n += (shares[i] < rough) & (np.float32(smooth[i]) >= least) & (ranges[i] == ranges[i])
+        is_smooth = np.float32(smooth[i]) >= thresholds.pairs
+        n += (shares[i] < thresholds.share) & is_smooth & (range_m[i] == range_m[i])
     for k in range(n):
         i = shots[k]
-        shares[i] = max(shares[i], _share_at_depth(lines, pairs, int(i), int(columns[i]), depth_m))
+        at_depth = _share_at_depth(ranges, pairs, int(i), int(columns[i]), thresholds.depth_m)
+        shares[i] = max(shares[i], at_depth)
 
 
 @kernel()
@@ -176,7 +179,7 @@ def mean_smoothness(
     step: np.float32,
     least_near: np.float32,
     half_m: np.float32,
-    limits: tuple[np.float32, np.float32, np.float32],
+    thresholds: DepthThresholds,
 ) -> F32_2:
     """Compute the share of smooth pairs around every shot: in five lines, over a width in metres.
 
@@ -193,7 +196,7 @@ def mean_smoothness(
     # ring buffer of lines
     places = np.empty((room, m), np.uint32)
     together = np.empty(m, np.uint32)
-    so_far = np.empty(m + 1, np.uint32)
+    sums_before = np.empty(m + 1, np.uint32)
     columns = np.empty(m, np.int32)
     shots = np.empty(m + 1, np.int32)
     for k in range(n_lines + 2 * LINES):
@@ -201,12 +204,12 @@ def mean_smoothness(
         if k < 2 * LINES:
             continue
         line = k - 2 * LINES
-        _add_lines((places[0], places[1], places[2], places[3], places[4]), together)
-        _sum_up(together, so_far)
+        _add_lines(FiveLines(places[0], places[1], places[2], places[3], places[4]), together)
+        _sum_up(together, sums_before)
         _half_widths(range_m[line + LINES], step, half_m, MOST_COLUMNS, columns)
-        _sums_of_places(columns, so_far, together)
+        _sums_of_places(columns, sums_before, together)
         _shares(range_m[line + LINES], together, mean[line])
-        lines = (
+        ranges = FiveLines(
             range_m[line],
             range_m[line + 1],
             range_m[line + 2],
@@ -218,6 +221,6 @@ def mean_smoothness(
         c = (line + 2) % room
         d = (line + 3) % room
         e = (line + 4) % room
-        pairs = places[a], places[b], places[c], places[d], places[e]
-        _look_at_depth(lines, pairs, columns, smooth[line + LINES], limits, mean[line], shots)
+        pairs = FiveLines(places[a], places[b], places[c], places[d], places[e])
+        _look_at_depth(ranges, pairs, columns, smooth[line + LINES], thresholds, mean[line], shots)
     return mean

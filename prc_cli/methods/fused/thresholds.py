@@ -405,6 +405,17 @@ class Spaced(NamedTuple):
         )
 
 
+class DepthThresholds(NamedTuple):
+    """Which rough places are looked at again without what is nearer or farther."""
+
+    share: np.float32
+    """Places with a smaller share of smooth pairs ..."""
+    depth_m: np.float32
+    """... without shots that differ by more than this in range [m] ..."""
+    pairs: np.float32
+    """... around shots with at least so many smooth pairs."""
+
+
 class Foliage(NamedTuple):
     """Surroundings by which foliage is told."""
 
@@ -419,13 +430,10 @@ class Foliage(NamedTuple):
     depth_step_rad: float = math.radians(0.2)
     """... at least this far apart [rad]."""
 
-    def again(self, share: float, step_rad: float) -> tuple[np.float32, np.float32, np.float32]:
-        """Return what the loop is given, for an angle between columns [rad].
-
-        a share, a distance and smooth pairs.
-        """
+    def thresholds(self, share: float, step_rad: float) -> DepthThresholds:
+        """Limits of the loop, for the share below which a place is rough and an angle between columns [rad]."""
         pairs = 0 if step_rad >= self.depth_step_rad else self.depth_pairs
-        return f32(share if self.at_depth else 0.0), f32(self.depth_m), f32(pairs)
+        return DepthThresholds(f32(share if self.at_depth else 0.0), f32(self.depth_m), f32(pairs))
 
 
 class Votes(NamedTuple):

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import Label
-from prc_cli.core.types import F32, F32_1, F32_2, I32, U8, U8_2
+from prc_cli.core.types import F32, F32_2, I32, U8, U8_2
 from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.methods.fused.records import Beams, VotingLine
 
 Pairs = NDArray[np.uint32]
 
@@ -36,7 +37,7 @@ A place has at most 15 shots in each of three lines, so that six bits hold their
 @helper
 def _lay_out(
     ranges: F32,
-    beams: tuple[F32, F32],
+    beams: Beams,
     side: F32,
     height: F32,
 ) -> None:
@@ -49,37 +50,37 @@ def _lay_out(
 
 
 @inlined
-def _differs(label: np.uint8, own: np.uint8) -> bool:
+def _differs(label: np.uint8, label_of_shot: np.uint8) -> bool:
     """Return whether a label differs; missing and noise do not count as labels."""
-    return bool((label != own) & (label != _MISSING) & (label != _NOISE))
+    return bool((label != label_of_shot) & (label != _MISSING) & (label != _NOISE))
 
 
 @helper
 def _mark_unsettled(
     before: U8,
-    own: U8,
+    labels: U8,
     after: U8,
     unsettled: U8,
 ) -> None:
     """Mark the shots whose label differs from that of a shot a few columns away, or of an adjacent line."""
-    m = len(own)
+    m = len(labels)
     for i in range(m):
-        unsettled[i] = _differs(before[i], own[i]) | _differs(after[i], own[i])
+        unsettled[i] = _differs(before[i], labels[i]) | _differs(after[i], labels[i])
     # compare with the shot VOTERS columns on, to both sides; beyond the ends with the outermost
     # shot
     n = min(VOTERS, m)
     for way in range(2):
-        asker = own[: m - n] if way == 0 else own[n:]
-        asked = own[n:] if way == 0 else own[: m - n]
+        shots = labels[: m - n] if way == 0 else labels[n:]
+        beside = labels[n:] if way == 0 else labels[: m - n]
         marks = unsettled[: m - n] if way == 0 else unsettled[n:]
         for i in range(m - n):
-            marks[i] |= _differs(asked[i], asker[i])
-        end = own[m - 1] if way == 0 else own[0]
+            marks[i] |= _differs(beside[i], shots[i])
+        end = labels[m - 1] if way == 0 else labels[0]
         for k in range(n):
             i = m - n + k if way == 0 else k
-            unsettled[i] |= _differs(end, own[i])
+            unsettled[i] |= _differs(end, labels[i])
     for i in range(m):
-        label = own[i]
+        label = labels[i]
         unsettled[i] &= (
             (label != _MISSING) & (label != _NOISE) & (label != _GROUND) & (label != _OTHER)
         )
@@ -98,20 +99,23 @@ def _weigh(labels: U8, weights: Pairs) -> None:
 
 
 @inlined
-def _vote(votes: np.uint32, own: np.uint8) -> np.uint8:
+def _vote(votes: np.uint32, label: np.uint8) -> np.uint8:
     """Return the label with most votes; of several, the shot's own if it is among them."""
     part = np.uint32((1 << _CAR_BIT) - 1)
-    other = votes & part
+    unclassified = votes & part
     car = (votes >> np.uint32(_CAR_BIT)) & part
     pole = (votes >> np.uint32(_POLE_BIT)) & part
     building = (votes >> np.uint32(_BUILDING_BIT)) & part
     vegetation = votes >> np.uint32(_VEGETATION_BIT)
-    most = max(max(max(other, car), max(pole, building)), vegetation)
-    mine = building if own == _BUILDING else (vegetation if own == _VEGETATION else other)
-    mine = car if own == _CAR else (pole if own == _POLE else mine)
-    if mine == most:
-        return own
-    if other == most:
+    most = max(max(max(unclassified, car), max(pole, building)), vegetation)
+    same = unclassified
+    same = building if label == _BUILDING else same
+    same = vegetation if label == _VEGETATION else same
+    same = car if label == _CAR else same
+    same = pole if label == _POLE else same
+    if same == most:
+        return label
+    if unclassified == most:
         return np.uint8(_OTHER)
     if car == most:
         return np.uint8(_CAR)
@@ -124,7 +128,9 @@ def _vote(votes: np.uint32, own: np.uint8) -> np.uint8:
 def _vote_line(
     labels: U8,
     ranges: F32,
-    lines: tuple[tuple[F32, F32, Pairs], tuple[F32, F32, Pairs], tuple[F32, F32, Pairs]],
+    before: VotingLine,
+    line: VotingLine,
+    after: VotingLine,
     unsettled: U8,
     asking: I32,
     step: np.float32,
@@ -134,7 +140,9 @@ def _vote_line(
 ) -> None:
     """Count the votes around the unsettled shots of a line; shots vote that are near in space."""
     m = len(ranges)
-    (y0, z0, w0), (y1, z1, w1), (y2, z2, w2) = lines
+    y0, z0, w0 = before
+    y1, z1, w1 = line
+    y2, z2, w2 = after
     n = 0
     for i in range(m):
         asking[n] = i
@@ -157,12 +165,12 @@ def _vote_line(
         while place < last:
             # every vote is read, near or not, to avoid a branch
             j = np.uint64(place)
-            one = w0[j]
-            two = w1[j]
-            three = w2[j]
-            votes += one if max(abs(y0[j] - y), abs(z0[j] - z)) < near_m else nothing
-            votes += two if max(abs(y1[j] - y), abs(z1[j] - z)) < near_m else nothing
-            votes += three if max(abs(y2[j] - y), abs(z2[j] - z)) < near_m else nothing
+            votes_before = w0[j]
+            votes_beside = w1[j]
+            votes_after = w2[j]
+            votes += votes_before if max(abs(y0[j] - y), abs(z0[j] - z)) < near_m else nothing
+            votes += votes_beside if max(abs(y1[j] - y), abs(z1[j] - z)) < near_m else nothing
+            votes += votes_after if max(abs(y2[j] - y), abs(z2[j] - z)) < near_m else nothing
             place += stride
         voted[i] = _vote(votes, labels[i])
 
@@ -171,7 +179,7 @@ def _vote_line(
 def vote_labels(
     labels: U8_2,
     range_m: F32_2,
-    beams: tuple[F32_1, F32_1],
+    beams: Beams,
     step: np.float32,
     half_m: np.float32,
     near_m: np.float32,
@@ -181,8 +189,8 @@ def vote_labels(
     A small thing keeps its label, and so does a shot where those four columns to both sides and in
     the adjacent lines have the same one. Noise does not vote.
 
-    ``labels`` (lines + 2, M) uint8; ``range_m`` (lines + 2, M) float32, metres; ``beams`` tuple of
-    (M,) float32; returns (lines, M) uint8.
+    ``labels`` (lines + 2, M) uint8; ``range_m`` (lines + 2, M) float32, metres; ``beams`` (M,)
+    float32; returns (lines, M) uint8.
     """
     n_lines = labels.shape[0] - 2
     m = labels.shape[1]
@@ -199,16 +207,23 @@ def vote_labels(
         _lay_out(range_m[line], beams, side[c], height[c])
         if line < 2:
             continue
-        own = labels[line - 1]
+        middle = labels[line - 1]
         row = voted[line - 2]
-        row[:] = own
-        _mark_unsettled(labels[line - 2], own, labels[line], unsettled)
+        row[:] = middle
+        _mark_unsettled(labels[line - 2], middle, labels[line], unsettled)
         a = (line - 2) % 3
         b = (line - 1) % 3
-        lines = (
-            (side[a], height[a], weights[a]),
-            (side[b], height[b], weights[b]),
-            (side[c], height[c], weights[c]),
+        _vote_line(
+            middle,
+            range_m[line - 1],
+            VotingLine(side[a], height[a], weights[a]),
+            VotingLine(side[b], height[b], weights[b]),
+            VotingLine(side[c], height[c], weights[c]),
+            unsettled,
+            asking,
+            step,
+            half_m,
+            near_m,
+            row,
         )
-        _vote_line(own, range_m[line - 1], lines, unsettled, asking, step, half_m, near_m, row)
     return voted

@@ -24,7 +24,7 @@ from prc_cli.methods.fused import ground_loops as fused_ground
 from prc_cli.methods.fused import neighbours_loops as fused_neighbours
 from prc_cli.methods.fused import strips_loops as fused_strips
 from prc_cli.methods.fused import texture_loops as fused_texture
-from prc_cli.methods.fused.interlace import put_in_step
+from prc_cli.methods.fused.interlace import align_columns
 from prc_cli.methods.fused.pipeline import FusedParams
 from prc_cli.methods.fused.plane import ScanPlane
 from prc_cli.methods.fused.range_noise import PART_LINES, _middle, off_lines, range_noise
@@ -113,7 +113,7 @@ def wall(late: F64, *, lines: int = 40, per_line_m: float = 0.3) -> F32:
 
 def in_step(range_m: F32, interlace_rad: float = STREET.interlace_rad) -> F32:
     limits = STREET._replace(interlace_rad=interlace_rad)
-    return put_in_step(range_m, ScanPlane.of(BEAM), np.full(len(range_m), NOISE_M), limits)
+    return align_columns(range_m, ScanPlane.of(BEAM), np.full(len(range_m), NOISE_M), limits)
 
 
 @pytest.mark.parametrize("late", [0.5, -0.5])
