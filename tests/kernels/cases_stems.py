@@ -97,7 +97,7 @@ def runs_case(rng: Generator) -> tuple[Any, ...]:
 
 def stems_case(rng: Generator) -> tuple[Any, ...]:
     ranges, heights, sine, cosine, chosen = runs_case(rng)
-    found = stems.upright_runs(ranges, heights, sine, cosine, chosen)
+    runs_and_table = stems.upright_runs(ranges, heights, sine, cosine, chosen)
     least = typed(
         StemThresholds,
         near_m=rng.choice([0.05, -1.0, 1.0]),
@@ -111,12 +111,12 @@ def stems_case(rng: Generator) -> tuple[Any, ...]:
     )
     if rng.random() < 0.5:
         least = least._replace(extent_m=0.0, total_m=0.0, mean_m=0.0, through_share=1.0)
-    return ranges, *found, least
+    return ranges, *runs_and_table, least
 
 
 def labels_case(rng: Generator) -> tuple[Any, ...]:
     ranges, _, cosine = forest(rng)
-    some = (rng.random(ranges.shape) < rng.choice([0.0, 0.1, 0.6])) & ~np.isnan(ranges)
+    is_stem = (rng.random(ranges.shape) < rng.choice([0.0, 0.1, 0.6])) & ~np.isnan(ranges)
     top = rng.choice([1e9, 1.0, 3.0])
     company = rng.choice([-1.0, 0.0, 0.25])
     chosen = typed(
@@ -129,7 +129,7 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
         beside_m=rng.choice([-1.0, 0.0, 0.05]),
         near_m=company,
     )
-    return ranges, heights_of(rng, ranges, cosine), some, int(rng.integers(1, 4)), chosen
+    return ranges, heights_of(rng, ranges, cosine), is_stem, int(rng.integers(1, 4)), chosen
 
 
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {

@@ -120,18 +120,18 @@ def test_what_loops_are_made_of_names_their_folder(
         return cache.loops_folder(tmp_path, source)
 
     try:
-        found = [folder(), folder()]
+        folders = [folder(), folder()]
         for path in (source, constants):
             path.write_text("NEAR_M = 2")
             os.utime(path, (0, 0))
-            found.append(folder())
+            folders.append(folder())
         with monkeypatch.context() as patch:
             patch.setattr(np, "__version__", "another")
-            found.append(folder())
+            folders.append(folder())
     finally:
         cache._surroundings.cache_clear()
-    assert found[0] == found[1]
-    assert len(set(found)) == 4
+    assert folders[0] == folders[1]
+    assert len(set(folders)) == 4
 
 
 def test_loops_use_nothing_that_their_folder_is_not_named_by() -> None:

@@ -43,9 +43,9 @@ def python(code: str, folder: Path) -> subprocess.Popen[str]:
 @needs_locks
 def test_of_four_processes_on_an_empty_cache_one_compiles(tmp_path: Path) -> None:
     started = [python(LOAD, tmp_path) for _ in range(4)]
-    found = [process.communicate()[0] for process in started]
+    outputs = [process.communicate()[0] for process in started]
     assert [process.returncode for process in started] == [0] * 4
-    assert sorted(found) == ["0\n", "0\n", "0\n", "1\n"]
+    assert sorted(outputs) == ["0\n", "0\n", "0\n", "1\n"]
 
 
 @needs_locks

@@ -221,9 +221,9 @@ def compare(name: str, seed: int, n_cases: int) -> None:
         if number >= n_cases and len(results) == 2:
             break
         case = CASES[name](rng)
-        found = getattr(kernels, name)(*case)
-        assert_equal_bits(found, twin(name)(*case), TOLERANCES.get(name, 0.0))
-        values = np.nan_to_num(found[0] if isinstance(found, tuple) else found)
+        output = getattr(kernels, name)(*case)
+        assert_equal_bits(output, twin(name)(*case), TOLERANCES.get(name, 0.0))
+        values = np.nan_to_num(output[0] if isinstance(output, tuple) else output)
         results.add(bool(((values != 0) & (values != -1)).any()))  # -1 = none
     assert results == {False, True}, "the data shows only one side"
 
@@ -237,8 +237,8 @@ def test_support_limit_is_exact_at_the_float32_beside_zeta(zeta: float, steps: i
     # zero on both sides: the difference to it is exact
     case = np.zeros(9 + 2 * 10, dtype=np.float32)
     case[10 + 4] = difference
-    found = kernels.support_mask(case, 1, 9, zeta, 0.0, 8, 0)
-    assert bool(found[0, 4]) == (float(difference) < zeta)
+    supported = kernels.support_mask(case, 1, 9, zeta, 0.0, 8, 0)
+    assert bool(supported[0, 4]) == (float(difference) < zeta)
 
 
 def test_every_kernel_has_a_twin_of_the_same_arguments() -> None:
@@ -300,29 +300,29 @@ print("numba" in sys.modules, file=sys.stderr)
 
 @pytest.mark.slow
 def test_the_reference_runs_through_the_same_composition_without_the_compiler() -> None:
-    found, compiled = (
+    reference, compiled = (
         patience.run(
             [sys.executable, "-c", REFERENCE, how], capture_output=True, text=True, check=True
         )
         for how in ("reference", "compiled")
     )
-    assert found.stdout == compiled.stdout
-    assert (found.stderr.strip(), compiled.stderr.strip()) == ("False", "True")
+    assert reference.stdout == compiled.stdout
+    assert (reference.stderr.strip(), compiled.stderr.strip()) == ("False", "True")
 
 
 def test_an_engine_holds_in_its_context_and_in_its_thread() -> None:
     compiled = kernels.dilate
     with kernels.use_engine("reference"):
         plain = kernels.dilate
-        found: list[object] = []
-        beside = threading.Thread(target=lambda: found.append(kernels.dilate))
+        kernels_beside: list[object] = []
+        beside = threading.Thread(target=lambda: kernels_beside.append(kernels.dilate))
         beside.start()
         beside.join()
         with kernels.use_engine("compiled"):
             assert kernels.dilate is compiled
         assert list(read_ahead(kernels.dilate for _ in range(1))) == [plain]
     assert plain.__module__ == "prc_cli.reference.prc.stages"
-    assert found == [compiled]
+    assert kernels_beside == [compiled]
     assert kernels.dilate is compiled is not plain
 
 
@@ -368,7 +368,7 @@ def imported(path: Path) -> Iterator[str]:
 
 def is_allowed(name: str) -> bool:
     within = name.startswith(THRESHOLDS) or any(
-        name == one or name.startswith(one + ".") for one in ALLOWED
+        name == package or name.startswith(package + ".") for package in ALLOWED
     )
     top = name.partition(".")[0]
     return (
@@ -396,7 +396,7 @@ def test_a_module_of_kernels_imports_no_other(module: str) -> None:
     assert not [
         name
         for name in imported(path)
-        if name.startswith(tuple(f"{other}." for other in KERNELS.values()))
+        if name.startswith(tuple(f"{kernel_module}." for kernel_module in KERNELS.values()))
     ]
 
 

@@ -43,20 +43,20 @@ def _flat(value: Any) -> Iterator[Any]:
         yield value
 
 
-def assert_equal_bits(found: Any, expected: Any, tolerance: float = 0.0) -> None:
+def assert_equal_bits(output: Any, expected: Any, tolerance: float = 0.0) -> None:
     """Compare results, one array or a tuple of them, dtypes included.
 
     a tolerance is for floats alone, absolute.
     """
-    found = list(_flat(found))
+    output = list(_flat(output))
     expected = list(_flat(expected))
-    assert len(found) == len(expected)
-    for one, other in zip(found, expected, strict=True):
-        assert np.asarray(one).dtype == np.asarray(other).dtype
-        if tolerance and np.asarray(one).dtype.kind == "f":
-            np.testing.assert_allclose(one, other, rtol=0, atol=tolerance)
+    assert len(output) == len(expected)
+    for array, expected_array in zip(output, expected, strict=True):
+        assert np.asarray(array).dtype == np.asarray(expected_array).dtype
+        if tolerance and np.asarray(array).dtype.kind == "f":
+            np.testing.assert_allclose(array, expected_array, rtol=0, atol=tolerance)
         else:
-            np.testing.assert_array_equal(one, other)
+            np.testing.assert_array_equal(array, expected_array)
 
 
 def typed(kind: type[Any], **values: Any) -> Any:

@@ -27,7 +27,7 @@ class _Window(NamedTuple):
     i: int
 
     @property
-    def own(self) -> np.float32:
+    def range_of_shot(self) -> np.float32:
         return np.float32(self.range_m[self.line, self.i])
 
     def around(self, lines: int = 3) -> Iterator[tuple[int, int]]:

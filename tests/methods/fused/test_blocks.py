@@ -106,8 +106,10 @@ NOISE_M = 0.005
 
 def wall(late: F64, *, lines: int = 40, per_line_m: float = 0.3) -> F32:
     """A wall that recedes from line to line, its columns ``late`` lines later, with range noise."""
-    at = 6.0 + per_line_m * (np.arange(lines)[:, None] + late)
-    ranges = at / np.sin(BEAM) + np.random.default_rng(4).normal(0.0, NOISE_M, (lines, len(BEAM)))
+    away_m = 6.0 + per_line_m * (np.arange(lines)[:, None] + late)
+    ranges = away_m / np.sin(BEAM) + np.random.default_rng(4).normal(
+        0.0, NOISE_M, (lines, len(BEAM))
+    )
     return ranges.astype(np.float32)
 
 
@@ -119,19 +121,19 @@ def in_step(range_m: F32, interlace_rad: float = STREET.interlace_rad) -> F32:
 @pytest.mark.parametrize("late", [0.5, -0.5])
 def test_odd_columns_are_moved_by_half_a_line(late: float) -> None:
     odd = np.where(np.arange(len(BEAM)) % 2 == 1, late, 0.0)
-    found = in_step(wall(odd))
+    moved = in_step(wall(odd))
     inner = slice(1, -1)
-    assert np.abs(found - wall(0 * odd))[inner].max() < 0.03
-    assert np.array_equal(found[:, ::2], wall(odd)[:, ::2])
+    assert np.abs(moved - wall(0 * odd))[inner].max() < 0.03
+    assert np.array_equal(moved[:, ::2], wall(odd)[:, ::2])
 
 
 def test_lines_may_begin_with_either_half() -> None:
     odd = np.arange(len(BEAM)) % 2 == 1
     first = wall(np.where(odd, 0.5, 0.0))[:30]
     second = wall(np.where(odd, -0.5, 0.0), lines=60)[30:]
-    found = in_step(np.concatenate([first, second]))
+    moved = in_step(np.concatenate([first, second]))
     whole = wall(np.zeros(len(BEAM)), lines=60)
-    off = np.abs(found - whole).max(axis=1)
+    off = np.abs(moved - whole).max(axis=1)
     assert off[1:22].max() < 0.03
     assert off[38:-1].max() < 0.03
 
@@ -140,28 +142,28 @@ def test_others_stay() -> None:
     odd = np.where(np.arange(len(BEAM)) % 2 == 1, 0.5, 0.0)
     level = wall(0 * odd)
     leaves = (level + np.random.default_rng(5).uniform(-1, 1, level.shape)).astype(np.float32)
-    for given in (level, leaves, wall(odd)[:2], np.full((9, len(BEAM)), np.nan, np.float32)):
-        assert in_step(given) is given
+    for ranges in (level, leaves, wall(odd)[:2], np.full((9, len(BEAM)), np.nan, np.float32)):
+        assert in_step(ranges) is ranges
     assert in_step(wall(odd), np.inf).tolist() == wall(odd).tolist()
     assert in_step(wall(odd), np.deg2rad(0.6)).tolist() == wall(odd).tolist()
 
 
 def test_missing_shots_stay_missing() -> None:
-    given = wall(np.where(np.arange(len(BEAM)) % 2 == 1, 0.5, 0.0))
-    given[10:12, 5:9] = np.nan
-    assert np.array_equal(np.isnan(in_step(given)), np.isnan(given))
+    ranges = wall(np.where(np.arange(len(BEAM)) % 2 == 1, 0.5, 0.0))
+    ranges[10:12, 5:9] = np.nan
+    assert np.array_equal(np.isnan(in_step(ranges)), np.isnan(ranges))
 
 
 @pytest.mark.usefixtures("real_data")
 def test_the_real_push_broom_is_interlaced(monkeypatch: pytest.MonkeyPatch) -> None:
     scan = contest_data.oakland(1)
-    found = {}
+    scores = {}
     for name, least_rad in (("in step", STREET.interlace_rad), ("as measured", np.inf)):
         monkeypatch.setattr(pipeline, "STREET", STREET._replace(interlace_rad=least_rad))
         labels = label(scan, load_config(preset="fused"))
-        found[name] = judge(scan, labels.codes, labels.extra_codes).f1()
-    for one in ("building", "vegetation"):
-        assert found["in step"][one] > found["as measured"][one] + 0.02
+        scores[name] = judge(scan, labels.codes, labels.extra_codes).f1()
+    for label in ("building", "vegetation"):
+        assert scores["in step"][label] > scores["as measured"][one] + 0.02
 
 
 def test_stages_and_loops_agree_on_what_lies_around_a_block() -> None:

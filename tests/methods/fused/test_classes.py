@@ -32,8 +32,8 @@ DOWN = np.cos(BEAM)
 def classified(ranges: F32, **limits: Any) -> U8:
     scanner = with_limits(SCANNER, **limits)
     turn = OneByOne(initial_state(scanner))
-    (found,) = Fused(FusedParams()).label(ScanBlock(0, ranges), scanner, turn, LABELS_ALONE)
-    return found.labels
+    (labelled,) = Fused(FusedParams()).label(ScanBlock(0, ranges), scanner, turn, LABELS_ALONE)
+    return labelled.labels
 
 
 def surface(side_m: float, low_m: float, high_m: float) -> F64:
@@ -42,8 +42,8 @@ def surface(side_m: float, low_m: float, high_m: float) -> F64:
     with np.errstate(divide="ignore"):
         ranges = np.where(SIDE * side_m > 0, side_m / SIDE, np.inf)
     height = HEIGHT_M - ranges * DOWN
-    found: F64 = np.where((height > low_m) & (height < high_m), ranges, np.inf)
-    return found
+    surface_m: F64 = np.where((height > low_m) & (height < high_m), ranges, np.inf)
+    return surface_m
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def street() -> tuple[F32, U8]:
 
 def test_a_curb_is_the_step_between_road_and_sidewalk(street: tuple[F32, U8]) -> None:
     ranges, kind = street
-    found = classified(ranges) == Label.CURB
+    is_curb = classified(ranges) == Label.CURB
     height = HEIGHT_M - ranges * DOWN
     face = (
         (np.abs(np.abs(ranges * SIDE) - 4.0) < 0.015)
@@ -62,8 +62,8 @@ def test_a_curb_is_the_step_between_road_and_sidewalk(street: tuple[F32, U8]) ->
         & (kind == GROUND)
     )
     assert face.sum() > 200
-    assert found[face].mean() > 0.9
-    near = np.abs(np.abs(ranges[found] * SIDE[np.nonzero(found)[1]]) - 4.0) < 0.1
+    assert is_curb[face].mean() > 0.9
+    near = np.abs(np.abs(ranges[is_curb] * SIDE[np.nonzero(is_curb)[1]]) - 4.0) < 0.1
     assert near.mean() > 0.95
 
 
@@ -78,12 +78,12 @@ def van(ranges: F32) -> tuple[F32, Mask]:
 
 def test_a_van_is_no_wall(street: tuple[F32, U8]) -> None:
     ranges, hit = van(street[0])
-    found = classified(ranges)
+    labels = classified(ranges)
     missed = classified(ranges, flanks=None)
-    assert (found[hit] == Label.CAR).mean() > 0.9
+    assert (labels[hit] == Label.CAR).mean() > 0.9
     assert (missed[hit] == Label.BUILDING).mean() > 0.4
     facade = (street[1] == BUILDING) & ~hit
-    assert (found[facade] == Label.BUILDING).mean() > 0.95
+    assert (labels[facade] == Label.BUILDING).mean() > 0.95
 
 
 def with_box(ranges: F32, lines: slice, deep_m: float) -> tuple[F32, Mask]:
@@ -95,8 +95,8 @@ def with_box(ranges: F32, lines: slice, deep_m: float) -> tuple[F32, Mask]:
     hit = np.zeros(ranges.shape, np.bool_)
     hit[lines] = np.isfinite(box)
     noise = np.random.default_rng(3).normal(0, 0.002, ranges.shape)
-    found = np.where(hit, box + noise, ranges).astype(np.float32)
-    return found, hit & (HEIGHT_M - found * DOWN > 0.45)
+    boxed = np.where(hit, box + noise, ranges).astype(np.float32)
+    return boxed, hit & (HEIGHT_M - boxed * DOWN > 0.45)
 
 
 def test_a_bin_is_street_furniture(street: tuple[F32, U8]) -> None:

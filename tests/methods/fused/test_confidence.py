@@ -42,20 +42,22 @@ def confidence(
         )
         for a in range(0, block.n_lines, size)
     )
-    found = [
+    blocks = [
         item.confidence
         for item in label_blocks(pieces, params, wanted=Wanted(confidence=True), threads=threads)
     ]
-    return np.concatenate([one for one in found if one is not None])
+    return np.concatenate(
+        [block_confidence for block_confidence in blocks if block_confidence is not None]
+    )
 
 
 @pytest.mark.parametrize("preset", ["fused", "fused-forest"])
 def test_it_is_a_percentage_of_every_return(preset: str) -> None:
     ranges = street_lines(140)[0]
-    found = confidence(preset, ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))
-    assert (found.dtype, found.shape) == (np.uint8, ranges.shape)
-    assert (found[np.isnan(ranges)] == 0).all()
-    there = found[~np.isnan(ranges)]
+    percentages = confidence(preset, ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))
+    assert (percentages.dtype, percentages.shape) == (np.uint8, ranges.shape)
+    assert (percentages[np.isnan(ranges)] == 0).all()
+    there = percentages[~np.isnan(ranges)]
     assert there.min() > 0
     assert 90 < there.max() <= 100
 
@@ -73,10 +75,10 @@ def test_labels_are_the_same_without_it() -> None:
         list(label_blocks(iter([block]), params, wanted=Wanted(confidence=wanted)))
         for wanted in (True, False)
     )
-    for one, other in zip(on, off, strict=True):
-        np.testing.assert_array_equal(one.labels, other.labels)
-        assert other.confidence is None
-        assert other.extra_confidence is None
+    for with_it, without_it in zip(on, off, strict=True):
+        np.testing.assert_array_equal(with_it.labels, without_it.labels)
+        assert without_it.confidence is None
+        assert without_it.extra_confidence is None
 
 
 def test_stray_points_take_confidence_from_a_road() -> None:
@@ -120,24 +122,24 @@ def test_files_hold_it(tmp_path: Path, suffix: str) -> None:
     classify(tmp_path / "s.npz", output, load_config(options=ON))
     expected = confidence("fused", ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))
     if suffix == ".laz":
-        found = np.asarray(laspy.read(output)["confidence"])
+        percentages = np.asarray(laspy.read(output)["confidence"])
         expected = expected[~np.isnan(ranges)]
     elif suffix == ".csv":
         assert output.read_text().splitlines()[0] == "record,class,name,confidence"
-        found = np.loadtxt(output, delimiter=",", skiprows=1, usecols=3)
+        percentages = np.loadtxt(output, delimiter=",", skiprows=1, usecols=3)
     else:
         import pyarrow.parquet as pq
 
-        found = pq.read_table(output)["confidence"].to_numpy()
-    np.testing.assert_array_equal(found, expected.ravel())
+        percentages = pq.read_table(output)["confidence"].to_numpy()
+    np.testing.assert_array_equal(percentages, expected.ravel())
 
 
 def test_an_image_has_it() -> None:
     ranges = street_lines(140)[0]
-    found = classify_ranges(ranges, load_config(options=ON), beam_rad=BEAM)
+    labelled = classify_ranges(ranges, load_config(options=ON), beam_rad=BEAM)
     expected = confidence("fused", ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))
-    assert found.confidence is not None
-    np.testing.assert_array_equal(found.confidence, expected)
+    assert labelled.confidence is not None
+    np.testing.assert_array_equal(labelled.confidence, expected)
     assert classify_ranges(ranges, load_config(preset="fused"), beam_rad=BEAM).confidence is None
 
 
@@ -161,8 +163,8 @@ def test_every_label_has_its_questions_and_its_row(environment: str) -> None:
     method = load_config(
         preset="fused" if place == "urban" else "fused-forest"
     ).config.classifier.method()
-    told = method.gives - {Label.MISSING, Label.UNCLASSIFIED}
-    assert set(QUESTIONS[place]) == told
+    labels = method.gives - {Label.MISSING, Label.UNCLASSIFIED}
+    assert set(QUESTIONS[place]) == labels
     for label, questions in QUESTIONS[place].items():
         assert len(questions) == len(set(questions)) == N_QUESTIONS
         assert set(questions) <= set(MEASURES)

@@ -37,8 +37,8 @@ def forest(
     limits: Forest,
 ) -> U8:
     """Labels of a block."""
-    found: U8 = woods.forest(range_m, plane, noise_m, limits).reasons & np.uint8(LABEL_BITS)
-    return found
+    labels: U8 = woods.forest(range_m, plane, noise_m, limits).reasons & np.uint8(LABEL_BITS)
+    return labels
 
 
 def ground(slope: float = 0.0) -> F64:
@@ -69,8 +69,8 @@ def labels_of(ranges: F32, **tables: dict[str, float]) -> U8:
 
 
 def count(labels: U8, where: Any) -> dict[str, int]:
-    found = np.bincount(labels[np.broadcast_to(where, labels.shape)], minlength=len(Label))
-    return {label.name: n for label, n in zip(Label, found.tolist(), strict=True) if n}
+    counts = np.bincount(labels[np.broadcast_to(where, labels.shape)], minlength=len(Label))
+    return {label.name: n for label, n in zip(Label, counts.tolist(), strict=True) if n}
 
 
 def test_a_stem_stands_on_the_ground_from_foot_to_crown() -> None:
@@ -133,7 +133,10 @@ def test_stems_are_found_with_a_noisy_scanner(noise_m: float) -> None:
     measured = forest_noise(noisy)
     assert measured is not None
     assert measured == pytest.approx(noise_m, rel=0.25)
-    aware, not_aware = (forest(noisy, Plane.of(angle), told, FOREST) for told in (measured, 0.0))
+    aware, not_aware = (
+        forest(noisy, Plane.of(angle), assumed_noise_m, FOREST)
+        for assumed_noise_m in (measured, 0.0)
+    )
     stems = reference == Label.STEM
     assert (aware == Label.STEM)[stems].mean() > 0.75
     if noise_m == 0.03:

@@ -35,23 +35,23 @@ def heights(
         for a in range(0, block.n_lines, size)
     )
     method = load_config(preset=preset).config.classifier
-    found = label_blocks(pieces, method, wanted=Wanted(stages=True), threads=threads)
-    return np.concatenate([item.above_m for item in found if item.above_m is not None])
+    blocks = label_blocks(pieces, method, wanted=Wanted(stages=True), threads=threads)
+    return np.concatenate([item.above_m for item in blocks if item.above_m is not None])
 
 
 @pytest.mark.parametrize("preset", ["fused", "fused-forest", "street-scan"])
 def test_heights_are_those_above_the_road(preset: str) -> None:
     ranges, kind = street_lines(150)
-    found = heights(preset, ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))
-    assert found.dtype == np.float32
-    assert (np.isnan(found) == np.isnan(ranges)).mean() > 0.999
+    above_m = heights(preset, ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))
+    assert above_m.dtype == np.float32
+    assert (np.isnan(above_m) == np.isnan(ranges)).mean() > 0.999
     expected = HEIGHT_M - ranges * np.cos(BEAM)
-    road = (kind == GROUND) & np.isfinite(found) & (np.abs(expected) < 0.05)
-    assert np.quantile(np.abs(found - expected)[road], 0.99) < 0.08
-    facade = (kind == BUILDING) & np.isfinite(found)
+    road = (kind == GROUND) & np.isfinite(above_m) & (np.abs(expected) < 0.05)
+    assert np.quantile(np.abs(above_m - expected)[road], 0.99) < 0.08
+    facade = (kind == BUILDING) & np.isfinite(above_m)
     facade[50:100] = False  # behind the car
     assert (
-        np.quantile(np.abs(found - expected)[facade], 0.9) < 0.16
+        np.quantile(np.abs(above_m - expected)[facade], 0.9) < 0.16
     )  # the sidewalk before it is 0.12 m higher
 
 
@@ -70,9 +70,9 @@ def test_a_leaning_plane_has_true_heights() -> None:
     ).astype(np.float32)
     block = ScanBlock(0, ranges, xyz_m=xyz, beam_rad=BEAM)
     above = np.where(np.arange(ranges.size).reshape(ranges.shape), np.float32(2.0), np.float32(1e9))
-    found = true_heights(above, block)
-    assert np.isnan(found[0, 0])
-    np.testing.assert_allclose(found[1:], 1.6, rtol=1e-5)
+    true_m = true_heights(above, block)
+    assert np.isnan(true_m[0, 0])
+    np.testing.assert_allclose(true_m[1:], 1.6, rtol=1e-5)
     np.testing.assert_array_equal(true_heights(above, replace(block, xyz_m=None))[1:], above[1:])
 
 
@@ -92,17 +92,17 @@ def test_files_hold_them(tmp_path: Path, suffix: str) -> None:
     config = load_config(options={"output": {"stages": True}, "input": {"nadir": 0.0}})
     output = tmp_path / f"o{suffix}"
     assert not [
-        one
-        for one in classify(tmp_path / "s.npz", output, config).record.notices
-        if "stages" in one
+        notice
+        for notice in classify(tmp_path / "s.npz", output, config).record.notices
+        if "stages" in notice
     ]
     block = ScanBlock(0, ranges, beam_rad=BEAM, is_last=True)
     expected = heights("fused", block, 128)
     if suffix == ".laz":
         las = laspy.read(output)
         assert "surface" not in las.point_format.extra_dimension_names
-        found = np.asarray(las["height_above_ground"])
-        np.testing.assert_allclose(found, expected[~np.isnan(ranges)], atol=1e-4)
+        above_m = np.asarray(las["height_above_ground"])
+        np.testing.assert_allclose(above_m, expected[~np.isnan(ranges)], atol=1e-4)
     else:
         assert output.read_text().splitlines()[0].endswith("height_above_ground")
 
@@ -111,7 +111,7 @@ def test_a_stream_may_begin_amid_a_line_below_eaves() -> None:
     ranges = street_lines(60)[0]
     degrees = np.rad2deg(BEAM)
     ranges[0] = np.where((degrees > 100) & (degrees < 110), -0.3 / np.cos(BEAM), np.nan)
-    found = heights("fused", ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))[
+    above_m = heights("fused", ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))[
         1:, np.abs(degrees) < 45
     ]
-    assert np.nanquantile(np.abs(found), 0.9) < 0.1
+    assert np.nanquantile(np.abs(above_m), 0.9) < 0.1

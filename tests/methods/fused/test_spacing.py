@@ -65,10 +65,10 @@ def labelled(ranges: F32, k: int = 64, scanner: FusedScanner = SCANNER) -> tuple
 def share(
     labels: U8,
     kind: U8,
-    one: int,
+    class_code: int,
     label: Label,
 ) -> float:
-    return float((labels[kind == one] == label).mean())
+    return float((labels[kind == class_code] == label).mean())
 
 
 def test_a_slow_drive_is_labelled_as_a_normal_one() -> None:
@@ -91,9 +91,10 @@ def test_a_drive_that_stops_keeps_its_labels() -> None:
     normal = labelled(drive(np.arange(48))[0])[0][40]
     surface = np.isin(kind[40], (BUILDING, VEGETATION))
     assert (labels[stop] == normal)[:, surface].mean() > 0.96
-    for one, label in ((BUILDING, Label.BUILDING), (VEGETATION, Label.VEGETATION)):
+    for class_code, label in ((BUILDING, Label.BUILDING), (VEGETATION, Label.VEGETATION)):
         assert (
-            share(labels[stop], kind[stop], one, label) > share(normal, kind[40], one, label) - 0.03
+            share(labels[stop], kind[stop], class_code, label)
+            > share(normal, kind[40], class_code, label) - 0.03
         )
 
 
@@ -113,21 +114,23 @@ def test_lines_of_all_distances_equal_streams_of_these_lines() -> None:
     margin = SPACED_LINES - 3
     strides = np.array([1, 1, 4, 4, 4, 4, 4, 2, 2, 0, 0, 16, 16, 16, 1, 8], np.int64)
     noise_m = np.where(np.arange(len(strides)) < 6, 2 * NOISE_M, NOISE_M)
-    found = spaced_pairs(ranges, strides, PLANE, noise_m, Smoothness())
+    spaced = spaced_pairs(ranges, strides, PLANE, noise_m, Smoothness())
     for i, stride in enumerate(strides.tolist()):
         rows = np.full((5, len(BEAM)), np.nan, np.float32)
         rows[2] = ranges[margin + i]
         if stride != STANDS:
             rows = ranges[margin + i - 2 * stride : margin + i + 2 * stride + 1 : stride]
         pairs = smooth_pairs(np.ascontiguousarray(rows), PLANE, float(noise_m[i]), Smoothness())[0]
-        np.testing.assert_array_equal(found[i], pairs if stride != STANDS else IN_LINE_PAIRS[pairs])
+        np.testing.assert_array_equal(
+            spaced[i], pairs if stride != STANDS else IN_LINE_PAIRS[pairs]
+        )
 
 
 def classified(ranges: F32, **again: Any) -> U8:
     scanner = with_limits(SCANNER, again=again)
     turn = OneByOne(initial_state(scanner))
-    (found,) = Fused(FusedParams()).label(ScanBlock(0, ranges), scanner, turn, LABELS_ALONE)
-    return found.labels
+    (block,) = Fused(FusedParams()).label(ScanBlock(0, ranges), scanner, turn, LABELS_ALONE)
+    return block.labels
 
 
 def noise_share(labels: U8, where: np.ndarray[Any, Any], label: Label) -> float:
@@ -149,11 +152,11 @@ def test_what_is_mirrored_by_a_car_is_noise(street: tuple[F32, U8]) -> None:
     ranges[flank & (chosen < 0.4)] *= 1.15
     mirrored = flank & (chosen > 0.95)
     ranges[mirrored] *= 1.5
-    found = classified(ranges)
+    noisy_labels = classified(ranges)
     former = classified(ranges, mirror_m=NEVER)
-    assert noise_share(found, mirrored, Label.NOISE) > 0.95
+    assert noise_share(noisy_labels, mirrored, Label.NOISE) > 0.95
     assert noise_share(former, mirrored, Label.NOISE) < 0.8
-    assert noise_share(found, flank & ~mirrored, Label.CAR) > 0.9
+    assert noise_share(noisy_labels, flank & ~mirrored, Label.CAR) > 0.9
 
 
 def test_a_range_that_nothing_around_has_is_noise(street: tuple[F32, U8]) -> None:
@@ -168,11 +171,11 @@ def test_a_range_that_nothing_around_has_is_noise(street: tuple[F32, U8]) -> Non
     ranges[wall & behind] += 0.6
     alone = wall & ~behind & (chosen > 0.997)
     ranges[alone] -= 0.25
-    found = classified(ranges)
+    noisy_labels = classified(ranges)
     former = classified(ranges, alone_texture=NEVER)
     assert noise_share(former, alone, Label.NOISE) == 0.0
-    assert noise_share(found, alone, Label.NOISE) > 0.6
-    assert noise_share(found, wall & ~alone, Label.NOISE) < 0.01
+    assert noise_share(noisy_labels, alone, Label.NOISE) > 0.6
+    assert noise_share(noisy_labels, wall & ~alone, Label.NOISE) < 0.01
 
 
 def test_labels_of_the_wider_window_do_not_depend_on_blocks(street: tuple[F32, U8]) -> None:

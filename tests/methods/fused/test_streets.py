@@ -57,10 +57,10 @@ def classify_block(
 ) -> tuple[U8, FusedState]:
     """Classify one block: its labels, and the state after it."""
     turn = OneByOne(state)
-    (found,) = Fused(params).label(
+    (labelled,) = Fused(params).label(
         ScanBlock(0, ranges, next_m=following), scanner, turn, LABELS_ALONE
     )
-    return found.labels, turn.state
+    return labelled.labels, turn.state
 
 
 def classified(ranges: F32, params: FusedParams = PARAMS, **limits: Any) -> U8:
@@ -77,7 +77,10 @@ def classified(ranges: F32, params: FusedParams = PARAMS, **limits: Any) -> U8:
 
 def recalls(labels: U8, kind: U8) -> dict[int, float]:
     labels = np.where(labels == Label.CURB, np.uint8(Label.GROUND), labels)
-    return {one: float((labels[kind == one] == label).mean()) for one, label in EXPECTED.items()}
+    return {
+        class_code: float((labels[kind == class_code] == label).mean())
+        for class_code, label in EXPECTED.items()
+    }
 
 
 @pytest.fixture(scope="module")
@@ -88,15 +91,15 @@ def street() -> tuple[F32, U8]:
 def test_every_class_of_a_street_is_found(street: tuple[F32, U8]) -> None:
     labels = classified(street[0])
     kind = street[1]
-    found = recalls(labels, kind)
-    for one, least in (
+    recall_of = recalls(labels, kind)
+    for class_code, least in (
         (GROUND, 0.99),
         (BUILDING, 0.97),
         (VEGETATION, 0.93),
         (STRAY, 0.85),
         (CAR, 0.85),
     ):
-        assert found[one] > least, one
+        assert recall_of[class_code] > least, class_code
     assert (kind[labels == Label.GROUND] == GROUND).mean() > 0.98
     assert ((labels == Label.MISSING) == np.isnan(street[0])).all()
 
@@ -104,13 +107,13 @@ def test_every_class_of_a_street_is_found(street: tuple[F32, U8]) -> None:
 def noise_along(ranges: F32, params: SensorParams, k: int = 128) -> list[float]:
     """Return what is known of the noise at every line, of a stream in blocks of k lines."""
     noise = NoiseAlong()
-    found = []
+    noises_m = []
     following = np.concatenate([ranges, np.full((47, len(BEAM)), np.nan, np.float32)])
     for first in range(0, len(ranges), k):
         n_lines = min(k, len(ranges) - first)
         noise = noise.after(following[first : first + n_lines + 47], first, PLANE, params)
-        found += noise.of_lines(first, n_lines + 47, params)[:n_lines].tolist()
-    return found
+        noises_m += noise.of_lines(first, n_lines + 47, params)[:n_lines].tolist()
+    return noises_m
 
 
 def test_the_noise_of_ranges_is_measured() -> None:
@@ -126,9 +129,9 @@ def test_a_drive_that_begins_beneath_trees_sees_better_later() -> None:
     ranges = np.tile(street_lines(64)[0], (8, 1))
     leaves = np.random.default_rng(8).exponential(0.1, ranges.shape).astype(np.float32)
     leaves[256:384] = 0
-    found = noise_along(ranges + leaves, SensorParams())
-    assert found[-1] < 0.003
-    assert min(found[:288]) > 0.003
+    noises_m = noise_along(ranges + leaves, SensorParams())
+    assert noises_m[-1] < 0.003
+    assert min(noises_m[:288]) > 0.003
 
 
 @pytest.mark.parametrize(
@@ -188,15 +191,15 @@ def test_every_line_has_the_noise_measured_up_to_it() -> None:
     ranges = np.tile(street_lines(64)[0], (4, 1))
     ranges[:128] += np.random.default_rng(8).exponential(0.1, ranges[:128].shape).astype(np.float32)
     turn = OneByOne(initial_state(SCANNER))
-    found = []
+    noises_m = []
     for first in range(0, len(ranges), 64):
         block = ScanBlock(
             first, ranges[first : first + 64], next_m=ranges[first + 64 : first + 64 + 47]
         )
         (labelled,) = Fused(PARAMS).label(block, SCANNER, turn, Wanted(measures=True))
-        found += labelled.measures["range noise [m]"][:, 0].tolist()
-    assert found == noise_along(ranges, SensorParams(), 64)
-    assert len(set(found)) > 4
+        noises_m += labelled.measures["range noise [m]"][:, 0].tolist()
+    assert noises_m == noise_along(ranges, SensorParams(), 64)
+    assert len(set(noises_m)) > 4
 
 
 def test_cars_are_sought_at_the_heights_of_their_own_lines(monkeypatch: pytest.MonkeyPatch) -> None:
