@@ -171,11 +171,11 @@ class NoiseAlong:
         """
         if params.range_noise_m != "auto":
             return np.full(n_lines, float(params.range_noise_m))
-        found = np.full(n_lines, DEFAULT_NOISE_M)
+        noise_of_lines_m = np.full(n_lines, DEFAULT_NOISE_M)
         parts = np.arange(first_line, first_line + n_lines) // PART_LINES
         for after, noise_m in self.steps:
-            found[(parts >= after) | (after == 1)] = noise_m
-        return found
+            noise_of_lines_m[(parts >= after) | (after == 1)] = noise_m
+        return noise_of_lines_m
 
 
 @stage("range noise")

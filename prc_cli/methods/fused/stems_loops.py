@@ -11,6 +11,7 @@ import numpy as np
 from prc_cli.core.classes import Label, Reason
 from prc_cli.core.types import F32, F32_2, F64, F64_1, F64_2, I32, I32_2, U8, U8_2, Mask, Mask_2
 from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.methods.fused.records import RunPoints, RunStarts
 from prc_cli.methods.fused.thresholds import (
     ForestThresholds,
     RunThresholds,
@@ -84,7 +85,8 @@ def _bridge(profile: F64, seen: F64) -> None:
 @helper
 def _low_shots(
     ranges: F32,
-    beams: tuple[F64, F64],
+    sine: F64,
+    cosine: F64,
     n_bins: int,
     thresholds: TerrainThresholds,
     before: F64,
@@ -96,7 +98,6 @@ def _low_shots(
 
     Return how many there are.
     """
-    sine, cosine = beams
     half = n_bins // 2
     per_metre = 1.0 / thresholds.bin_m
     step_m = thresholds.near_m
@@ -127,20 +128,21 @@ def _keep_lowest(
     shots: I32,
     bins: I32,
     heights: F64,
-    lowest: tuple[F64, F64, F64],
+    lowest: F64,
+    second: F64,
+    third: F64,
 ) -> None:
     """Keep the three lowest shots of every bin, in order."""
-    one, two, three = lowest
     for k in range(len(shots)):
         column = np.uint64(shots[k])
         b = np.uint64(bins[column])
         z = heights[column]
-        if z < three[b]:
-            low = one[b]
-            middle = two[b]
-            one[b] = min(z, low)
-            two[b] = min(max(z, low), middle)
-            three[b] = max(z, middle)
+        if z < third[b]:
+            low = lowest[b]
+            middle = second[b]
+            lowest[b] = min(z, low)
+            second[b] = min(max(z, low), middle)
+            third[b] = max(z, middle)
 
 
 @kernel()
@@ -162,26 +164,34 @@ def ground_profiles(
     """
     n_lines, n_columns = range_m.shape
     profiles = np.empty((-(-n_lines // lines_together), n_bins), np.float64)
-    one = np.empty(n_bins, np.float64)
-    two = np.empty(n_bins, np.float64)
-    three = np.empty(n_bins, np.float64)
+    lowest = np.empty(n_bins, np.float64)
+    second = np.empty(n_bins, np.float64)
+    third = np.empty(n_bins, np.float64)
     before = np.empty(n_columns, np.float64)
     heights = np.empty(n_columns, np.float64)
     bins = np.empty(n_columns, np.int32)
     shots = np.empty(n_columns + 1, np.int32)
     for group in range(len(profiles)):
         for b in range(n_bins):
-            one[b] = two[b] = three[b] = np.inf
+            lowest[b] = second[b] = third[b] = np.inf
         for line in range(group * lines_together, min((group + 1) * lines_together, n_lines)):
             n_shots = _low_shots(
-                range_m[line], (sine, cosine), n_bins, thresholds, before, bins, heights, shots
+                range_m[line],
+                sine,
+                cosine,
+                n_bins,
+                thresholds,
+                before,
+                bins,
+                heights,
+                shots,
             )
-            _keep_lowest(shots[:n_shots], bins, heights, (one, two, three))
+            _keep_lowest(shots[:n_shots], bins, heights, lowest, second, third)
         profile = profiles[group]
         for b in range(n_bins):
-            profile[b] = three[b]
+            profile[b] = third[b]
         _lower_towards_neighbours(profile, thresholds.slope * thresholds.bin_m)
-        _bridge(profile, three)
+        _bridge(profile, third)
     return profiles
 
 
@@ -269,16 +279,16 @@ def ground_heights(
 def _aim(
     ranges: F32,
     heights: F32,
-    beams: tuple[F64, F64],
+    sine: F64,
+    cosine: F64,
     thresholds: RunThresholds,
-    points: tuple[F64, F64, F64, F64, F64],
+    points: RunPoints,
     shots: I32,
 ) -> int:
     """Write place, range, tolerance and spacing of the shots of a line.
 
     List those high enough, return how many.
     """
-    sine, cosine = beams
     side, up, far, tolerances, spacings = points
     low = thresholds.above_m
     base = thresholds.tolerance_m
@@ -330,7 +340,7 @@ def _put_away(
     y: float,
     z: float,
     thresholds: RunThresholds,
-    firsts: tuple[F64, F64],
+    firsts: RunStarts,
     ends: F64,
 ) -> None:
     """Write the shots, the returns from behind and the ends of a finished run.
@@ -358,7 +368,7 @@ def _drop(
     y: float,
     z: float,
     thresholds: RunThresholds,
-    firsts: tuple[F64, F64],
+    firsts: RunStarts,
     ends: F64,
 ) -> None:
     """Close a run, if there is one.
@@ -374,10 +384,10 @@ def _drop(
 @helper
 def _line_runs(
     shots: I32,
-    points: tuple[F64, F64, F64, F64, F64],
+    points: RunPoints,
     thresholds: RunThresholds,
     mine: I32,
-    firsts: tuple[F64, F64],
+    firsts: RunStarts,
     ends: F64,
 ) -> int:
     """Write the run of every shot of a list, counted from 0, and the data of the runs.
@@ -501,21 +511,23 @@ def upright_runs(
     side = np.empty(n_columns, np.float64)
     up = np.empty(n_columns, np.float64)
     far = np.empty(n_columns, np.float64)
-    points = side, up, far, np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)
-    firsts = (np.empty(n_columns, np.float64), np.empty(n_columns, np.float64))
+    tolerances = np.empty(n_columns, np.float64)
+    spacings = np.empty(n_columns, np.float64)
+    points = RunPoints(side, up, far, tolerances, spacings)
+    firsts = RunStarts(np.empty(n_columns, np.float64), np.empty(n_columns, np.float64))
     ends = np.empty((n_columns, 4))
     shots = np.empty(n_columns + 1, np.int32)
     mine = np.empty(n_columns, np.int32)
     number = np.empty(n_columns, np.int32)
     for line in range(n_lines):
-        n_shots = _aim(range_m[line], height_m[line], (sine, cosine), thresholds, points, shots)
+        n_shots = _aim(range_m[line], height_m[line], sine, cosine, thresholds, points, shots)
         n_runs = _line_runs(shots[:n_shots], points, thresholds, mine, firsts, ends)
         for i in range(n_runs):
             number[i] = 0
             if ends[i, COUNT] > 0.0:
                 number[i] = n_kept
-                for one in range(4):
-                    table[n_kept, one] = ends[i, one]
+                for column in range(4):
+                    table[n_kept, column] = ends[i, column]
                 n_kept += 1
         row = runs[line]
         for column in range(n_columns):
@@ -524,8 +536,8 @@ def upright_runs(
             row[shots[k]] = number[mine[k]]
     kept = np.empty((n_kept, 4), np.float64)
     for i in range(n_kept):
-        for one in range(4):
-            kept[i, one] = table[i, one]
+        for column in range(4):
+            kept[i, column] = table[i, column]
     return runs, kept
 
 
@@ -539,36 +551,36 @@ def _root(parent: I32, run: int) -> int:
 
 @helper
 def _join_lines(
-    ranges: tuple[F32, F32],
-    runs: tuple[I32, I32],
+    earlier_m: F32,
+    later_m: F32,
+    runs_before: I32,
+    runs: I32,
     thresholds: StemThresholds,
     linked: I32,
     parent: I32,
 ) -> None:
     """Join the runs of two successive lines that have shots of a column near to each other."""
-    earlier, later = ranges
-    before, own = runs
     near = thresholds.near_m
     share = thresholds.near_share
     n_linked = 0
-    for column in range(len(own)):
+    for column in range(len(runs)):
         linked[n_linked] = column
-        n_linked += (own[column] != 0) & (before[column] != 0)
+        n_linked += (runs[column] != 0) & (runs_before[column] != 0)
     last_run = last_before = 0
     for k in range(n_linked):
         place = np.uint64(linked[k])
-        r = np.float64(later[place])
-        run = own[place]
-        other = before[place]
+        r = np.float64(later_m[place])
+        run = runs[place]
+        run_before = runs_before[place]
         # most shots join the same runs as the one before
-        if (run == last_run) & (other == last_before):
+        if (run == last_run) & (run_before == last_before):
             continue
-        if abs(r - np.float64(earlier[place])) < near + share * r:
-            one = _root(parent, run)
-            two = _root(parent, other)
-            parent[max(one, two)] = min(one, two)
+        if abs(r - np.float64(earlier_m[place])) < near + share * r:
+            root = _root(parent, run)
+            root_before = _root(parent, run_before)
+            parent[max(root, root_before)] = min(root, root_before)
             last_run = run
-            last_before = other
+            last_before = run_before
 
 
 @kernel()
@@ -595,13 +607,15 @@ def stem_shots(
         parent[run] = run
         low[run] = np.inf
         high[run] = -np.inf
-        for one in range(4):
-            sums[run, one] = 0.0
+        for column in range(4):
+            sums[run, column] = 0.0
     linked = np.empty(n_columns + 1, np.int32)
     for line in range(1, n_lines):
         _join_lines(
-            (range_m[line - 1], range_m[line]),
-            (runs[line - 1], runs[line]),
+            range_m[line - 1],
+            range_m[line],
+            runs[line - 1],
+            runs[line],
             thresholds,
             linked,
             parent,
@@ -628,10 +642,10 @@ def stem_shots(
         )
     stems = np.empty((n_lines, n_columns), np.bool_)
     for line in range(n_lines):
-        own = runs[line]
+        runs_of_line = runs[line]
         row = stems[line]
         for column in range(n_columns):
-            row[column] = is_stem[np.uint64(own[column])]
+            row[column] = is_stem[np.uint64(runs_of_line[column])]
     return stems
 
 
@@ -641,11 +655,11 @@ def _mark_flat(heights: F32, limit: float, flat: U8) -> None:
     n = len(heights)
     flat[0] = flat[n - 1] = np.uint8(0)
     before = heights[: n - 2]
-    own = heights[1 : n - 1]
+    middle = heights[1 : n - 1]
     after = heights[2:]
     marks = flat[1 : n - 1]
     for i in range(n - 2):
-        height = np.float64(own[i])
+        height = np.float64(middle[i])
         marks[i] = np.uint8(
             (abs(height - np.float64(before[i])) < limit)
             & (abs(height - np.float64(after[i])) < limit)
@@ -662,10 +676,10 @@ def _mark_beside(
     """Mark the shots of a line that are, or have around them, a shot of a stem."""
     n_lines, n = stems.shape
     before = stems[max(line - 1, 0)]
-    own = stems[line]
+    middle = stems[line]
     after = stems[min(line + 1, n_lines - 1)]
     for i in range(n):
-        across[i] = np.uint8(before[i] | own[i] | after[i])
+        across[i] = np.uint8(before[i] | middle[i] | after[i])
         beside[i] = across[i]
     inner = beside[: n - 1]
     outer = across[1:]
@@ -696,32 +710,45 @@ def _mark_adjacent(
 
 
 @helper
-def _label_plain(
+def _label_clear_shots(
     heights: F32,
     stems: Mask,
-    marks: tuple[U8, U8, U8],
+    flat: U8,
+    beside: U8,
+    adjacent: U8,
     thresholds: ForestThresholds,
     labels: U8,
 ) -> None:
-    """Decide on the shots of a line that need no other shots for it, and mark the others.
+    """Label the shots of a line by the first rule that applies; mark those that need other shots.
 
-    Without branches, so that the compiler can use vector instructions.
+    No branches but the choice of a rule, so that the compiler can use vector instructions.
     """
-    flat, beside, adjacent = marks
-    below = -thresholds.below_m
-    soil = thresholds.soil_m
-    cover = thresholds.cover_m
-    top = thresholds.top_m
     for i in range(len(heights)):
         height = np.float64(heights[i])
-        rule = _PLANT if adjacent[i] != 0 else np.uint8(_OPEN)
-        rule = np.uint8(_TOUCHING) if (beside[i] != 0) & (height <= top) else rule
-        rule = _FLAT if (height <= cover) & (flat[i] != 0) else rule
-        rule = _SOIL if height <= soil else rule
-        stem = _ON_STEM if height <= top else _ABOVE_TOP
-        rule = stem if stems[i] else rule
-        rule = _FAR_BELOW if height < below else rule
-        labels[i] = rule if height == height else _MISSING
+        is_below_top = height <= thresholds.top_m
+        is_stem = stems[i]
+        is_flat = (height <= thresholds.cover_m) & (flat[i] != 0)
+        may_touch = is_below_top & (beside[i] != 0)
+        has_neighbour = adjacent[i] != 0
+        if height != height:
+            rule = _MISSING
+        elif height < -thresholds.below_m:
+            rule = _FAR_BELOW
+        elif is_stem & is_below_top:
+            rule = _ON_STEM
+        elif is_stem:
+            rule = _ABOVE_TOP
+        elif height <= thresholds.soil_m:
+            rule = _SOIL
+        elif is_flat:
+            rule = _FLAT
+        elif may_touch:
+            rule = np.uint8(_TOUCHING)
+        elif has_neighbour:
+            rule = _PLANT
+        else:
+            rule = np.uint8(_OPEN)
+        labels[i] = rule
 
 
 @helper
@@ -794,7 +821,7 @@ def forest_labels(
         _mark_beside(stems, line, across, beside)
         # a negative limit means that no shot is alone
         _mark_adjacent(range_m[line], limit if limit >= 0.0 else np.inf, across, adjacent)
-        _label_plain(height_m[line], stems[line], (flat, beside, adjacent), thresholds, row)
+        _label_clear_shots(height_m[line], stems[line], flat, beside, adjacent, thresholds, row)
         n_shots = 0
         for column in range(n_columns):
             shots[n_shots] = column

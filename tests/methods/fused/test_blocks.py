@@ -162,8 +162,8 @@ def test_the_real_push_broom_is_interlaced(monkeypatch: pytest.MonkeyPatch) -> N
         monkeypatch.setattr(pipeline, "STREET", STREET._replace(interlace_rad=least_rad))
         labels = label(scan, load_config(preset="fused"))
         scores[name] = judge(scan, labels.codes, labels.extra_codes).f1()
-    for label in ("building", "vegetation"):
-        assert scores["in step"][label] > scores["as measured"][one] + 0.02
+    for class_name in ("building", "vegetation"):
+        assert scores["in step"][class_name] > scores["as measured"][class_name] + 0.02
 
 
 def test_stages_and_loops_agree_on_what_lies_around_a_block() -> None:

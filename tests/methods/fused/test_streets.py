@@ -156,7 +156,9 @@ def test_a_step_that_is_off_is_missed(
     assert recalls(classified(street[0], **off), street[1])[kind] < usual - 0.2
 
 
-@pytest.mark.parametrize("step", ["_measure", "see", "follow_ground", "_decide"])
+@pytest.mark.parametrize(
+    "step", ["_measure_noise", "measure_neighbours", "follow_ground", "_decide"]
+)
 def test_a_block_that_fails_lets_the_others_end(monkeypatch: pytest.MonkeyPatch, step: str) -> None:
     """Before, in, between and after the steps that hand on.
 
@@ -206,21 +208,24 @@ def test_cars_are_sought_at_the_heights_of_their_own_lines(monkeypatch: pytest.M
     seen = []
 
     def find_cars(
-        shots: Any,
+        labels: Any,
+        range_m: Any,
+        above_m: Any,
+        texture: Any,
         n_lines: int,
         plane: Any,
         before: Any,
         thresholds: Any,
     ) -> tuple[U8, Any]:
-        seen.append(shots)
-        return shots[0], before
+        seen.append((range_m, above_m))
+        return labels, before
 
-    monkeypatch.setattr(pipeline, "are_wanted", lambda plane, limits: True)
+    monkeypatch.setattr(pipeline, "has_car_profiles", lambda plane, limits: True)
     monkeypatch.setattr(pipeline, "find_cars", find_cars)
     ranges = street_lines(40)[0]
     ranges[::3, ::2] = np.nan  # every line is known by what it lacks
     classify_block(ranges, None, initial_state(SCANNER), PARAMS)
-    ((_, range_m, above_m, _),) = seen
+    ((range_m, above_m),) = seen
     # heights are not known everywhere, but nowhere without a range
     assert np.isfinite(above_m).mean() > 0.3
     assert not np.isfinite(above_m[np.isnan(range_m)]).any()
