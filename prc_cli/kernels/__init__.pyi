@@ -1,4 +1,5 @@
-# The table of kernels: type checkers read their types here, and prc_cli.kernels.loading reads where they are.
+# The table of kernels. Type checkers read their types here.
+# prc_cli.kernels.loading reads their modules.
 from prc_cli.kernels.loading import ENGINES as ENGINES
 from prc_cli.kernels.loading import KERNELS as KERNELS
 from prc_cli.kernels.loading import Engine as Engine

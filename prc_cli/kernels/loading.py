@@ -145,8 +145,8 @@ def load_kernels(modules: frozenset[str] | None = None) -> None:
 def short_name(home: str) -> str:
     """Return the short name of a module of loops.
 
-    >>> short_name("prc_cli.methods.fused.votes_loops"), short_name("prc_cli.simulation.sensor_loops")
-    ('fused.votes', 'simulation.sensor')
+    >>> short_name("prc_cli.methods.fused.votes_loops")
+    'fused.votes'
     """
     return ".".join(home.removesuffix("_loops").split(".")[-2:])
 

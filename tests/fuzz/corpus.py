@@ -95,7 +95,8 @@ seeds. What counts as a fault: [Hostile input](../robustness.md#how-damaged-file
 **{n:,} inputs**: {read:,} read by functions of the library, {command:,} through a command in
 the same process, {guarded:,} through `prc` under the guard. {accepted} were accepted, {looked}
 with a doubt that is said, {refused} refused in one line; {died:,} ended the process of the
-library that decoded them, which the guard makes a line of; {faulty:,} showed a fault ({kinds} kinds, mended or listed as a
+library that decoded them, which the guard makes a line of; {faulty:,} showed a fault ({kinds}
+kinds, mended or listed as a
 remaining risk).
 
 *New ways* are steps from line to line of the program that damaged inputs took and seeds

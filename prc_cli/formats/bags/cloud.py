@@ -1,4 +1,4 @@
-"""Read the firing columns of a spinning scanner from ``sensor_msgs/PointCloud2`` with ring and time.
+"""Read firing columns of spinning scanners from ``sensor_msgs/PointCloud2`` with ring and time.
 
 Drivers omit empty cells, and write points ring after ring or column after column. The times give
 the columns back: the lasers of a scanner fire in turn, each with the same period. Lasers that look
@@ -163,7 +163,7 @@ def parse_cloud(
 
 
 def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtype[np.void]:
-    """Return the type of a point with the fields x, y, z, ring, and time, light, line if present."""
+    """Return the type of a point: x, y, z, ring, and time, light, line if present."""
     names = {
         "x": ("x",),
         "y": ("y",),
@@ -415,7 +415,10 @@ class CloudLines:
         numbers = RingNumbers.of(first.ring[has]) if has.any() else None
         if numbers is None:
             ring_text = "no point" if not has.any() else f"ring {int(first.ring[has].max())}"
-            problem = f"found {ring_text} in the first message, expected points of at most {MAX_RINGS} rings"
+            problem = (
+                f"found {ring_text} in the first message, expected points of at most "
+                f"{MAX_RINGS} rings"
+            )
             raise InputError(where, problem, "record the scanner's own topic")
         self.points_per_line = numbers.n_rings
         self._numbers = numbers
@@ -653,7 +656,10 @@ class CloudLines:
         n: int,
         base: int,
     ) -> Columns:
-        """Put points into the cells of ``n`` columns; the second of a cell is its further return."""
+        """Put points into the cells of ``n`` columns.
+
+        The second of a cell is its further return.
+        """
         m = self.points_per_line
         timing = self._timing
         assert timing is not None

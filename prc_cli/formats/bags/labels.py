@@ -72,7 +72,7 @@ class CloudCodec:
         return rows.reshape(-1, cloud.point_step).copy()
 
     def label(self, data: bytes, take: Take) -> bytes:
-        """Return a message with codes in the field :data:`FIELD`, without points of negative codes."""
+        """Return a message with codes in :data:`FIELD`, without points of negative codes."""
         cloud, points = self.points(data, FIELD)
         if points is None:
             # points of whole words stay aligned to them
@@ -130,7 +130,10 @@ class BagRewriter(BagOutput, ScatterWriter):
         source = labels.source
         path = labels.path
         if suffix_of(source) != path.suffix.lower():
-            problem = f"found {source.name}, expected a {path.suffix} to be written again with its classes"
+            problem = (
+                f"found {source.name}, expected a {path.suffix} to be written again with its "
+                "classes"
+            )
             again = (
                 "write .laz, and from that the bag: prc convert"
                 if labels.is_thinned
@@ -198,7 +201,8 @@ class BagRewriter(BagOutput, ScatterWriter):
         old = [topic for topic in bag.counts if is_labels(topic, read)]
         if old:
             self._notice(
-                f"the input has {', '.join(topic.name for topic in old)} already; they were replaced"
+                f"the input has {', '.join(topic.name for topic in old)} already; they "
+                "were replaced"
             )
         outs = {}
         for connection in bag.connections():
@@ -246,7 +250,7 @@ def _connect(sink: Any, connection: Any, after: str = "") -> Any:
 
 
 def open_bag_codes(path: Path, dimension: str | None) -> CodeSource:
-    """Open the codes of a bag: a field of its clouds (``label``), and the labels beside its laser scans."""
+    """Open the codes of a bag: the field ``label`` of clouds, and labels beside laser scans."""
     bag = Bag(path)
     name = dimension or FIELD
     lasers = {topic for topic in bag.counts if name == FIELD and is_labels(topic, bag.counts)}

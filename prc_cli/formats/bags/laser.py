@@ -1,4 +1,6 @@
-"""Read ``sensor_msgs/LaserScan`` and ``MultiEchoLaserScan``: a message is a scan line or part of one.
+"""Read ``sensor_msgs/LaserScan`` and ``MultiEchoLaserScan``.
+
+a message is a scan line or part of one.
 
 Motors turn unevenly: the number of beams, their step and the first angle change from message to
 message. Some scanners send a line in parts. All beams lie on one grid of angles, which the first
@@ -176,7 +178,7 @@ class BeamGrid:
 
     @classmethod
     def of(cls, scans: list[LaserScan]) -> BeamGrid:
-        """Return the finest grid with all beams of the messages, through the angles of the first."""
+        """Return the finest grid through the first message's angles that has all beams."""
         steps = np.array([scan.angle_step_rad for scan in scans])
         usual = float(np.median(steps))
         scans = [

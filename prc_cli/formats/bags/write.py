@@ -1,8 +1,8 @@
 """Write streams as bags: firings of spinning scanners as clouds, lines of profilers as laser scans.
 
 A cloud has the shots of one block, missing ones included, in the order of their times: ``x y z
-intensity ring label time scan_line``. A laser scan is a line; its class codes are the intensities of the scan
-of the same stamp on the topic beside.
+intensity ring label time scan_line``. A laser scan is a line; its class codes are the intensities
+of the scan of the same stamp on the topic beside.
 """
 
 from __future__ import annotations

@@ -219,7 +219,10 @@ def open_ply(path: Path, layout: Layout | None = None) -> CloudSource:
         n_left = path.stat().st_size - start - vertex.count * vertex.dtype(order).itemsize
         if n_left and vertex is header.elements[-1]:
             notes = (
-                f"{n_left} bytes behind the last point were left out: the header does not name them",
+                (
+                    f"{n_left} bytes behind the last point were left out: the header does not "
+                    "name them"
+                ),
             )
     head = CloudHead(
         path=path,

@@ -139,7 +139,8 @@ class CloudSource(FieldSource):
             n_copies = int(np.count_nonzero(is_copy))
             if n_copies:
                 notes.append(
-                    f"{n_copies} of the first {len(is_copy)} rows repeat an earlier return of their "
+                    f"{n_copies} of the first {len(is_copy)} rows repeat an earlier return "
+                    "of their "
                     "shot: they are further returns, not shots"
                 )
             # other programs list every return once

@@ -153,7 +153,8 @@ class CloudWriter(StagedWriter):
         for column in asked_columns(self._options):
             if column.dimension is not RANGE:
                 self._notice(
-                    f"{self.path.suffix} outputs hold no {column.what}s; they need .las, .laz or .csv"
+                    f"{self.path.suffix} outputs hold no {column.what}s; they need .las, "
+                    ".laz or .csv"
                 )
         self._shape = shape
         self._n = self._n_cells = self._n_codes_lost = 0

@@ -373,7 +373,10 @@ class E57Stream:
         with np.errstate(over="ignore", invalid="ignore"):
             length = float(np.sqrt(w * w + x * x + y * y + z * z))
         if not 0.9 < length < 1.1:
-            problem = f"the pose's rotation is ({w:g}, {x:g}, {y:g}, {z:g}), expected a quaternion of length 1"
+            problem = (
+                f"the pose's rotation is ({w:g}, {x:g}, {y:g}, {z:g}), expected a quaternion "
+                "of length 1"
+            )
             raise InputError(self._where(table.index), problem, _AGAIN)
         w = w / length
         x = x / length
@@ -466,7 +469,10 @@ class E57Stream:
     def _points(
         self, file: E57File, scan: _Scan, tallies: list[ReadTally]
     ) -> Iterator[NDArray[Any]]:
-        """Yield points with their cells, in the order of the file; add refused ones to the tallies."""
+        """Yield points with their cells, in the order of the file.
+
+        Add refused ones to the tallies.
+        """
         table = scan.table
         shape = scan.shape
         cartesian = _is_cartesian(table)
@@ -622,7 +628,7 @@ class _IndexTally:
 
 
 def _coordinates(chunk: dict[str, F64], pose: Pose, *, cartesian: bool) -> tuple[F64, F64]:
-    """Return sensor-centred coordinates (n, 3) and ranges (n,) [m], NaN for points at the origin."""
+    """Return sensor-centred coordinates (n, 3) and ranges (n,) [m], NaN at the origin."""
     if cartesian:
         xyz = np.stack([chunk[name] for name in CARTESIAN], axis=1)
         length = lengths(xyz)

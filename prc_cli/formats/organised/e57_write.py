@@ -199,7 +199,8 @@ class E57Stream(StreamWriter):
         angle = block.angle_rad
         if angle is None:
             self._notice(
-                f"no angles: {block.points_per_line} columns are spread evenly over a turn from down"
+                f"no angles: {block.points_per_line} columns are spread evenly over a turn "
+                "from down"
             )
             angle = 2.0 * np.pi * np.arange(block.points_per_line) / block.points_per_line
         else:

@@ -349,7 +349,7 @@ class PacketClock:
 
 
 def place(range_m: NDArray[Any], azimuth_rad: F64, elevation_rad: F64) -> F32:
-    """Return coordinates, (..., 3) float32 [m], z up, azimuth from y towards x as in the manuals."""
+    """Return (..., 3) float32 [m], z up, azimuth from y towards x as in the manuals."""
     xyz: F32 = np.empty((*range_m.shape, 3), np.float32)
     flat = range_m * np.cos(elevation_rad)
     xyz[..., 0] = flat * np.sin(azimuth_rad)

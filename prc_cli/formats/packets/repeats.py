@@ -1,4 +1,7 @@
-"""Count messages and packets that a recording has twice: of two recorders, or of parts that overlap."""
+"""Count messages and packets that a recording has twice.
+
+Of two recorders, or of parts that overlap.
+"""
 
 from __future__ import annotations
 

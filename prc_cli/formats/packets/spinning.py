@@ -1,4 +1,6 @@
-"""Decode the data packets of Velodyne and Hesai: blocks of an azimuth and the distances of all lasers.
+"""Decode the data packets of Velodyne and Hesai.
+
+Blocks of an azimuth and the distances of all lasers.
 
 Velodyne (user manuals of VLP-16, VLP-32C, HDL-32E, HDL-64E S3, VLS-128): 1206 bytes, 12 blocks of a
 flag, an azimuth and 32 distances with reflectivity; then a time stamp, the return mode and the

@@ -1,4 +1,4 @@
-"""The label of every shot: a list of rules (:mod:`classes_loops`), a vote, and what only a wider window shows."""
+"""Label shots: the rules of :mod:`classes_loops`, a vote, and what only a wider window shows."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ THING_LINES = 20
 
 
 def is_room(range_m: F32, limits: Limits) -> bool:
-    """Return whether ranges, (lines, M) float32 [m], are those of a place that is too narrow for cars.
+    """Whether ranges, (lines, M) float32 [m], show a place that is too narrow for cars.
 
-    >>> is_room(np.full((9, 9), 6, np.float32), Limits()), is_room(np.full((9, 9), 7, np.float32), Limits())
-    (True, False)
+    >>> [is_room(np.full((9, 9), far_m, np.float32), Limits()) for far_m in (6, 7)]
+    [True, False]
     """
     n_far = np.count_nonzero(range_m > np.float32(limits.room_m))
     n = np.count_nonzero(range_m == range_m)
@@ -60,7 +60,8 @@ def has_ceiling(range_m: F32, plane: ScanPlane) -> bool:
 
     >>> plane = ScanPlane.of(np.deg2rad(np.linspace(-179.0, 180.0, 360)))
     >>> way = np.abs(plane.cosine).clip(0.2)
-    >>> [has_ceiling(np.where(plane.cosine > 0, 1.7, up)[None] / way[None], plane) for up in (1.0, 2.4, 3.5, np.nan)]
+    >>> rooms = [np.where(plane.cosine > 0, 1.7, up)[None] / way for up in (1.0, 2.4, 3.5, np.nan)]
+    >>> [has_ceiling(range_m, plane) for range_m in rooms]
     [True, True, False, False]
     """
     seen = range_m[~np.isnan(range_m).all(axis=1)]
@@ -110,8 +111,8 @@ def decide(
 ) -> U8:
     """Label every shot of the lines by the rules of :mod:`classes_loops`, in their order.
 
-    ``window_m`` (lines + 2 n, M) float32, metres; ``texture`` and ``strips`` of the lines alone; all
-    else of two more lines before and after; returns (lines, M) uint8,
+    ``window_m`` (lines + 2 n, M) float32, metres; ``texture`` and ``strips`` of the lines alone;
+    all else of two more lines before and after; returns (lines, M) uint8,
     :class:`~prc_cli.core.classes.Reason`.
     """
     beside = (len(window_m) - len(texture)) // 2 - THING_LINES

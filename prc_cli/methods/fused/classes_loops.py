@@ -1,4 +1,6 @@
-"""Why a shot of a street has its label: the rules of the fused classifier, in the order in which they decide.
+"""Why a shot of a street has its label.
+
+The rules of the fused classifier, in the order in which they decide.
 
 The first rule that applies gives the label. ``prc explain`` prints its name.
 
@@ -7,7 +9,7 @@ step  rule               label       reason
 ====  =================  ==========  ==============================================================
 1     MISSING            missing     there is no return
 1     LONELY             noise       nothing is near it, although the scanner is
-2     ISOLATED           noise       few shots are near it, and it is neither a leaf nor on a surface
+2     ISOLATED           noise       few shots are near it; it is neither a leaf nor on a surface
 2     SPIKE              noise       it is rough amid a smooth surface
 2     BELOW_GROUND       noise       it is rough and far below the ground, and no side of a pit
 1, 2  WALKED             ground      the walk along the ground went over it
@@ -22,7 +24,7 @@ step  rule               label       reason
 5     SMALL              pole        it is on something small that stands free
 5     SMOOTH             building    it is on a fence
 5     LEVEL_BODY         car         it is low, with level surfaces around
-5     FOLIAGE            vegetation  few pairs around are smooth, and it is in no wall: a hedge, a tree
+5     FOLIAGE            vegetation  few pairs around are smooth, no wall is there: a hedge, a tree
 5     LEAF               vegetation  few shots are near it, but other leaves are
 5     FACADE             building    few pairs around are smooth, but it is in a wall
 5     SMOOTH             building    everything else: something smooth above the ground
@@ -297,7 +299,7 @@ def _leaf_share(shot: Shot, place: Place, limits: DecisionThresholds) -> np.floa
 
 @inlined
 def _is_of_wall(shot: Shot, place: Place, limits: DecisionThresholds) -> bool:
-    """Whether a rough shot is in a wall, seen through it, or on the facade of a house, at any height."""
+    """Whether a rough shot is in a wall, behind its panes, or on a facade, at any height."""
     is_near = _is_on_house(shot, place, limits.behind_m, limits)
     is_house = _is_on_house(shot, place, limits.roof_m, limits)
     is_on_facade = is_near & is_house & (place.wall_top_m > np.float32(0.0))
@@ -328,7 +330,10 @@ def _is_on_house(shot: Shot, place: Place, most_m: np.float32, limits: DecisionT
 
 @inlined
 def _is_in_car(shot: Shot, place: Place, is_foliage: np.bool_) -> bool:
-    """Whether a shot is low enough where enough level surfaces are around; foliage needs more of them."""
+    """Whether a shot is low enough where enough level surfaces are around.
+
+    Foliage needs more of them.
+    """
     top_m = place.rough_car_top_m if is_foliage else place.car_top_m
     return bool((shot.above_m >= np.float32(0.0)) & (shot.above_m < top_m))
 
@@ -349,7 +354,7 @@ def _is_far_behind_wall(
 
 @inlined
 def _may_be_upright(shot: Shot, place: Place, is_in_car: bool, limits: DecisionThresholds) -> bool:
-    """Whether a shot is on a post, or on a smooth piece that is upright or high, and of nothing else."""
+    """Whether a shot is on a post, or on a smooth piece that is upright or high."""
     is_piece = (shot.kind != np.uint8(0)) & (shot.kind < SMALL)
     is_up = (shot.level == 0) | (shot.above_m > limits.arm_m)
     is_of_car = is_in_car & (shot.kind != THIN)
@@ -406,7 +411,7 @@ def _round_run(
     i: int,
     limits: DecisionThresholds,
 ) -> tuple[int, bool]:
-    """Return the end of the run of a free-standing shot, and whether it is as deep as the front half of a trunk.
+    """Return the end of a free-standing run, and whether it is as deep as half a trunk.
 
     A slanted plane cuts an upright round thing from edge to edge, in an ellipse: it is seen as deep
     as its radius, and at least three times as high. What is deeper than that is something else, as
@@ -435,7 +440,7 @@ def _round_run(
 def _depth_m(
     window_m: F32, row: int, i: int, side_m: np.float32, limits: DecisionThresholds
 ) -> np.float32:
-    """Return how deep the thing is that lines before and after see in the direction of a shot, to the side [m]."""
+    """Return the depth to the side of the object that the lines around see at a shot [m]."""
     least_m = most_m = window_m[row, i]
     for way in (-1, 1):
         last_m = window_m[row, i]
@@ -547,7 +552,9 @@ def _label_boxes(
 def _end_of_box(
     line: Line, labels: U8, i: int, way: int, limits: DecisionThresholds
 ) -> tuple[int, int]:
-    """Follow a box along its line to one side; return its last shot, and the next one, -1 = none close by.
+    """Follow a box along its line to one side.
+
+    Return its last shot, and the next one, -1 = none close by.
 
     The next one is the last itself where it is no box: too high, or cut off by the end of the line.
     """
@@ -617,7 +624,9 @@ def _is_seen_by_few_lines(window_m: F32, row: int, i: int, limits: DecisionThres
 
 @inlined
 def _lines_beside(window_m: F32, row: int, i: int, way: int, limits: DecisionThresholds) -> int:
-    """Return how many lines to one side see a box in the direction of a shot; MARGIN if none sees past it.
+    """Return how many lines to one side see a box in the direction of a shot.
+
+    MARGIN if none sees past it.
 
     Single lines that see past it do not count: they see background light, or look through a pane.
     """
@@ -718,7 +727,7 @@ def _sum_up_three(before: Counts, middle: Counts, after: Counts, sums: Counts) -
 
 @helper
 def _half_widths(range_m: F32, step_rad: np.float32, half_widths: I32) -> None:
-    """Write the half width of every shot's place in columns, any number where the shot is missing."""
+    """Write the half width of every shot's place [columns]; missing shots get any number."""
     least = np.float32(LEAST_COLUMNS)
     most = np.float32(SPIKE_COLUMNS)
     for i in range(len(range_m)):
@@ -857,7 +866,7 @@ def fused_labels(
     step_rad: np.float32,
     thresholds: DecisionThresholds,
 ) -> U8_2:
-    """Give every shot of consecutive lines the rule that decides on it (:class:`~prc_cli.core.classes.Reason`).
+    """Give every shot the rule that decides it (:class:`~prc_cli.core.classes.Reason`).
 
     ``window_m`` (lines + 40, M) float32, metres; ``above_m``, ``neighbours`` and ``walked`` (lines
     + 4, M); ``texture`` (lines, M) float32, shares; ``slots`` and ``walls`` (lines, STRIPS);

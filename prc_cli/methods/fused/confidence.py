@@ -47,7 +47,7 @@ MEASURES: dict[str, tuple[float, float, float]] = {
     "behind": (-49, -0.3, 0.3),
     "jump": (0.1, 0.5, 2),
 }
-"""Measures in the order of :func:`confidence_loops.confidence_cells`, with the steps between their four
+"""Measures in the order of :func:`confidence_loops.confidence_cells`, and the steps of their four
 answers."""
 STREET_QUESTIONS: dict[Label, tuple[str, ...]] = {
     Label.NOISE: ("near", "range", "off", "top", "texture", "agree"),

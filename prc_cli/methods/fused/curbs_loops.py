@@ -41,7 +41,7 @@ def _mark_climbing(
     low: U8,
     climbs: U8,
 ) -> None:
-    """Write heights and places, and mark the shots near the ground and those of them where the line climbs outwards.
+    """Write heights and places; mark shots near the ground, and where the line climbs.
 
     Places are NaN but near the ground. Without branches, so that the compiler can use vector
     instructions.
@@ -153,7 +153,7 @@ def _mean_height(
     labels: U8,
     thresholds: CurbThresholds,
 ) -> tuple[np.float32, int]:
-    """Return the mean height of the ground beside a face, from a column on, and how many shots it is of."""
+    """Return the mean height of the ground beside a face, and its number of shots."""
     y = side[CHUNK + i]
     total = np.float32(0.0)
     n = 0

@@ -1,4 +1,4 @@
-"""Loop of the fused classifier that finds cars by the profile of single lines, where shots are far apart."""
+"""Find cars by the profile of single lines, for scanners whose shots are far apart."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BINS = 200
 REACH_M = np.float32(0.5)
 """A car reaches this far beyond the shots of a line, to either side [m]."""
 JUMP_M = np.float32(1.0)
-"""Shots farther apart than this to the side belong to different things, and to different depths of the scene [m]."""
+"""Shots farther apart to the side belong to different objects [m]."""
 FOOT_M = np.float32(0.6)
 """Lowest shot on a car in a line across its roof, at most [m]."""
 LEAST_DEEP_M = np.float32(0.3)
@@ -84,7 +84,7 @@ def _extent(
     above: F32,
     texture: F32,
 ) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
-    """Return the lowest and highest shot of a run, its nearest and farthest side, and its mean smoothness."""
+    """Return a run's lowest and highest shot, nearest and farthest side, mean smoothness."""
     low = _FAR
     high = -_FAR
     near = _FAR

@@ -46,7 +46,7 @@ def _count_ground(
     bins: I32,
     depths: F32,
 ) -> None:
-    """Count the shots of the ground in every bin of a line, and write how deep it lies below the scanner."""
+    """Count ground shots by bin of a line; write their depth below the scanner."""
     sine, cosine = beams
     bins[:] = 0
     for i in range(len(ranges)):
@@ -111,7 +111,7 @@ def _ground_behind(
 
 @inlined
 def _bottom(slots: U64, b: int, away: np.float32) -> np.float32:
-    """Return how high above the ground a line sees anything at a flank, lower things at its foot included [m]."""
+    """Return the height above ground of what a line sees at a flank, its foot included [m]."""
     half = STRIPS // 2
     strip = min(int(away / STRIP_M), half - 1)
     nearer = max(strip - 1, 0)
@@ -134,7 +134,7 @@ def _ground_below(
     away: np.float32,
     bottom: np.float32,
 ) -> tuple[int, int]:
-    """Count the ground that is seen below the bottom of a body at a distance, and that seen through the body."""
+    """Count ground seen below the bottom of a body, and ground seen through the body."""
     beneath = beyond = 0
     first = min(int(min(away / BIN_M, _FAR)), BINS)
     for j in range(first, min(2 * first, BINS)):

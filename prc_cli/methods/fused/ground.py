@@ -1,4 +1,4 @@
-"""Ground: followed outwards along every line, from level shot to level shot, with heights kept from earlier lines."""
+"""Follow the ground outwards along every line, with heights kept from earlier lines."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class GroundMemory:
     age: I32
     """(2, BINS) int32, lines since the bin was last seen."""
     level_shots: F32
-    """(2, DEPTHS) float32, level shots near the scanner and all, of the lines since any bin was known."""
+    """(2, DEPTHS) float32, level shots near the scanner, and all, since a bin was known."""
     level_m: F32
     """(2, DEPTHS) float32, sums of their heights [m]."""
     start_m: np.float32

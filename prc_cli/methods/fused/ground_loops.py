@@ -1,4 +1,4 @@
-"""Loop of the fused classifier that follows the ground of every line, outwards on both sides of the scanner."""
+"""Follow the ground of every line outwards, on both sides of the scanner."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ MOST_AGE = np.iinfo(np.int32).max
 """Ages stop here [lines]."""
 DEPTHS = 1000
 DEPTH_M = np.float32(0.1)
-"""Depths below the scanner at which the ground is searched, and the distance from one to the next [m]."""
+"""Number of depths at which the ground is searched, and their distance [m]."""
 LOST_LINES = 32
 """Where no ground was known for so many lines with level shots, it is searched anew."""
 MISSED_SHOTS = 16
 MISSED_LINES = 8
 MISSED_M = np.float32(0.6)
-"""Where in so many lines in a row so many level shots near the scanner lie this far below the known ground, and more of
-them than on it, the ground is searched anew."""
+"""The ground is searched again if, in so many lines in a row, so many level shots near the scanner
+lie this far below the known ground, and more of them than on it."""
 START_FOLLOW = np.float32(0.005)
 """Share of a new height in the start: that of a single line may be a car's."""
 MANY = np.float32(0.25)
@@ -181,7 +181,7 @@ def _walk(
     seen: U8,
     walked: Mask,
 ) -> None:
-    """Follow the ground outwards on one side of a line, from level shot to level shot, in small steps of height."""
+    """Follow the ground outwards on one side of a line, in small steps of height."""
     last_y = np.float32(0.0)
     last_z = _start(memory, age, start_m, thresholds.memory_lines)
     lines = thresholds.memory_lines
@@ -273,7 +273,7 @@ def _fill(profile: F32, seen: U8, start_m: np.float32) -> None:
 
 @helper
 def _places(side: F32, places: I32, shares: F32) -> None:
-    """Write the place before every shot, of both profiles in a row, and the share of the way to the next place."""
+    """Write the place before every shot in both profiles, and the share of the next one."""
     half = np.float32(0.5)
     for i in range(len(side)):
         y = side[i] if side[i] == side[i] else np.float32(0.0)
@@ -363,7 +363,7 @@ def _start_of_line(
     is_level: U8,
     thresholds: WalkThresholds,
 ) -> tuple[np.float32, int]:
-    """Return where the walk of a line starts if its side is not known, and for how many lines no side has been.
+    """Return the start of a walk whose side is not known, and since how many lines.
 
     That is the height of the nearest known place in the lines before, and where the ground is lost
     for long or was never known, a depth with many level shots of the lines since then. The number

@@ -1,4 +1,4 @@
-"""Interlaced scanners: every other column is measured half a line later, and its ranges are put in step again.
+"""Align interlaced scanners, which measure every other column half a line later.
 
 Some scanners halve their angular step by scanning twice, the second time between the beams of the
 first (SICK LMS 2xx at 0.5 degrees). In between the platform moves by half the distance of two
@@ -26,7 +26,7 @@ HALF = 0.5
 SLACK = 0.15
 """How much later the other columns are, in lines, and how far single shots may be off that."""
 STEEP = 4.0
-"""Tolerances that a surface recedes by from line to line, at least, to tell when it was measured."""
+"""A surface must recede by so many tolerances a line to show when it was measured."""
 
 
 @stage("interlace")
@@ -83,7 +83,7 @@ def _counts(
     tolerance_m: F32,
     is_even: NDArray[np.bool_],
 ) -> I64:
-    """Count, by line, the shots whose column is half a line later, half a line earlier, and neither, (lines, 3) int64.
+    """Count shots by line: column half a line later, earlier, neither, (lines, 3) int64.
 
     Asked are shots on surfaces that recede by much, evenly and with both columns beside.
     """
@@ -108,7 +108,7 @@ def _counts(
 
 
 def _later(counts: I64) -> I64:
-    """Return by line whether its odd columns are later, 1, or earlier, -1, by what most shots of lines around say.
+    """Return 1 if the odd columns of a line are later, -1 if earlier, by the lines around.
 
     >>> _later(np.array([[0, 0, 9], [4, 0, 0], [8, 1, 0]])).tolist()
     [0, 0, 0]

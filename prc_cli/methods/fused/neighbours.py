@@ -27,7 +27,7 @@ def smooth_pairs(
     noise_m: float,
     limits: Smoothness,
 ) -> U8:
-    """Count, for every shot, the pairs of neighbours on a smooth surface with it, within its line and across lines."""
+    """Count for every shot the pairs of neighbours on a smooth surface with it."""
     thresholds = limits.thresholds(noise_m, float(plane.step_rad))
     counts: U8 = kernels.smooth_counts(
         window_m, plane.sine, plane.cosine, plane.step_rad, thresholds

@@ -3,9 +3,8 @@
 Near neighbours, smoothness, direction.
 
 The first two read the *window* of a block: its lines and :data:`LINES` more before and after. The
-points of a line have
-:data:`COLUMNS` columns of NaN on either side, so that neighbours are shifted arrays and comparisons with absent ones
-are false.
+points of a line have :data:`COLUMNS` columns of NaN on either side. So neighbours are shifted
+arrays, and comparisons with absent neighbours are false.
 """
 
 from __future__ import annotations
@@ -104,7 +103,7 @@ def _count_beside(
     thin: np.float32,
     row: U8,
 ) -> None:
-    """Count the near neighbours of the shots of a line, which has margins, among the four on either side."""
+    """Count near neighbours among the four on either side; the line has margins."""
     y, z = points
     for i in range(len(row)):
         a = y[i + 4]

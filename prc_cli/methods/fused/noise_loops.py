@@ -1,4 +1,4 @@
-"""Loop of the fused classifier that asks again, in a wider window, which shots are noise, and which are leaves."""
+"""Check again, in a wider window, which shots are noise and which are leaves."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def _is_mirrored(
     before: int,
     thresholds: AgainThresholds,
 ) -> bool:
-    """Return whether a shot is seen amid a car, farther than its panes and body, and no surface is there.
+    """Whether a shot lies in a car, behind its panes and body, and on no surface.
 
     ``labels`` begins ``before`` lines after the others.
     """
@@ -142,7 +142,7 @@ def _is_alone(
     i: int,
     thresholds: AgainThresholds,
 ) -> bool:
-    """Return whether nothing in the window is about as far, and nothing for long on one side of that."""
+    """Whether no shot of the window is about as far, and one side has a long gap."""
     # the shot is as far as itself
     shot_m = range_m[line, i]
     as_far = np.int32(-1)

@@ -138,8 +138,8 @@ class ForestParams(Params):
         1000.0,
         ge=0,
         le=1000,
-        description="height over the ground, in the scan plane, up to which stems are stems and from which on they are "
-        "other vegetation [m]",
+        description="height over the ground, in the scan plane, up to which stems are stems and "
+        "from which on they are other vegetation [m]",
     )
 
     def limits(self) -> Forest:
@@ -155,7 +155,8 @@ class FusedParams(MethodParams):
 
     environment: Literal["urban", "forest"] = Field(
         "urban",
-        description='classes: "urban" ground, building, vegetation; "forest" ground, stem, vegetation',
+        description='classes: "urban" ground, building, vegetation; '
+        '"forest" ground, stem, vegetation',
     )
     lines_per_block: int = Field(
         128, ge=1, le=100_000, description="scan lines that are labelled together"
@@ -363,7 +364,8 @@ def classify_block(
     >>> lines = np.tile(2.0 / np.cos(beam), (8, 1)).astype(np.float32)
     >>> lines[4, 100] = 1.0
     >>> scanner = FusedScanner.of(beam)
-    >>> labels = classify_block(lines, None, scanner, OneByOne(initial_state(scanner)), FusedParams())
+    >>> turns = OneByOne(initial_state(scanner))
+    >>> labels = classify_block(lines, None, scanner, turns, FusedParams())
     >>> Label(labels[4, 100]).name, Label(labels[4, 120]).name
     ('NOISE', 'GROUND')
     """
@@ -633,7 +635,7 @@ def _widen_window(
     noise_m: F64,
     every: int,
 ) -> tuple[F32, I64, F64]:
-    """Return the wide window with more lines around, their distances and noise, for streams of every so many lines.
+    """Return the wide window with more lines around, their distances and their noise.
 
     Lines beside the block have the distance of its outermost ones, as far as their neighbours are
     known.
@@ -651,7 +653,7 @@ def _widen_window(
 
 
 def _merge_lines(arrays: Sequence[AnyArray], streams: Sequence[Stream], apart: I64) -> AnyArray:
-    """Put the lines of a block together, each from the stream with its distance of lines, ``apart`` (lines,) int64."""
+    """Put together a block from streams of every n-th line, ``apart`` (lines,) int64."""
     if len(streams) == 1 and streams[0].every == 1:
         return arrays[0]
     merged = np.empty((len(apart), *arrays[0].shape[1:]), arrays[0].dtype)
@@ -669,7 +671,10 @@ def _merge_evidence(
     streams: Sequence[Stream],
     apart: I64,
 ) -> Evidence:
-    """Put the evidence of a block together from that of its streams; lines beside the block are left empty."""
+    """Put the evidence of a block together from that of its streams.
+
+    Lines beside the block are left empty.
+    """
     if len(streams) == 1 and streams[0].every == 1:
         return evidences[0]
 
@@ -714,7 +719,7 @@ def _measure_noise(
     known: NoiseAlong,
     params: SensorParams,
 ) -> tuple[F64, NoiseAlong]:
-    """Measure the range noise at every line of the wide window of a block that begins at a line [m]."""
+    """Measure the range noise at every line of the wide window of a block [m]."""
     noise = known.after(wide[SPACED_LINES:], line, plane, params)
     return noise.of_lines(line - SPACED_LINES, len(wide), params), noise
 
@@ -740,7 +745,7 @@ def _strides(
     turn: Turn,
     limits: Limits,
 ) -> I64:
-    """Decide how many lines away the neighbours are, of the lines that are labelled and three before and after them.
+    """Decide how many lines away neighbours are, also for three lines before and after.
 
     ``line`` is the number of the block's first line.
     """
@@ -854,7 +859,7 @@ def window_of(
     next_m: F32 | None,
     ahead: int,
 ) -> F32:
-    """Return a block with the lines before and after it, ``ahead`` more after it, NaN beyond the stream."""
+    """Return a block with lines around it, ``ahead`` more after it, NaN beyond the stream."""
     width = range_m.shape[1]
     following = np.full((SPACED_LINES + ahead, width), np.nan, np.float32)
     if next_m is not None:
@@ -894,7 +899,8 @@ def label_further_returns(
     >>> import numpy as np
     >>> image = np.array([[6.0, 6.1, 20.0]], dtype=np.float32)
     >>> labels = np.array([[Label.VEGETATION, Label.VEGETATION, Label.BUILDING]], dtype=np.uint8)
-    >>> further = np.zeros(2, np.int32), np.array([0, 2], np.int32), np.array([9.0, 30.0], np.float32)
+    >>> line, column = np.zeros(2, np.int32), np.array([0, 2], np.int32)
+    >>> further = line, column, np.array([9.0, 30.0], np.float32)
     >>> [Label(label).name for label in label_further_returns(image, labels, *further, 0.3)]
     ['VEGETATION', 'NOISE']
     """

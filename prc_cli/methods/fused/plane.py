@@ -72,7 +72,7 @@ class ScanPlane:
 
     @classmethod
     def of(cls, beam_rad: F64) -> ScanPlane:
-        """Return the plane of beams, (M,) float64, given by their angles from straight down in (-pi, pi] [rad].
+        """Return the plane of beams (M,) float64, angles from straight down in (-pi, pi] [rad].
 
         >>> ScanPlane.of(np.deg2rad([-10.0, 0.0, 10.0, 20.0])).left.tolist()
         [1, 2, 3]

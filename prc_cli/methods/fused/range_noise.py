@@ -20,7 +20,7 @@ from prc_cli.methods.fused.plane import ScanPlane, points_of
 NORMAL_QUARTILE = 0.6745
 """Half of a normal distribution lies within this many standard deviations."""
 MIDDLE_OF_THREE = 1.5
-"""Variance of a range's deviation from the mean of its two neighbours, in variances of one range."""
+"""Variance of a range minus the mean of its neighbours, in variances of one range."""
 PART_LINES = 32
 """Lines by which the noise at the begin of a stream is measured.
 
@@ -28,7 +28,7 @@ Not more than are known after a block.
 """
 PIECE_PARTS = 4
 FIRST_PARTS = 12
-"""Parts of so many lines by which it is measured later, and after how many it is measured ever more seldom."""
+"""Lines of a later measurement, and after how many it becomes ever rarer."""
 EVERY_LINE = 4
 MANY_COLUMNS = 256
 """With so many columns and more, every fourth line is enough."""
@@ -180,7 +180,7 @@ class NoiseAlong:
 
 @stage("range noise")
 def off_lines(side_m: F32, height_m: F32) -> F32:
-    """Return the distances of shots from the straight lines through their two neighbours, (n,) float32 [m].
+    """Return distances of shots from the line through both neighbours, (n,) float32 [m].
 
     ``side_m, height_m`` (lines, M) float32, metres.
     """

@@ -24,9 +24,8 @@ SLOT_M = np.float32(0.25)
 POST, THIN, SHORT, FEW_SHOTS, SMALL, FENCE = (np.uint8(kind) for kind in (1, 2, 3, 4, 5, 6))
 """Kinds of free-standing things, 0 = none.
 
-A trunk or post; a thin piece and a short piece, which may be of one; a piece of few shots; something
-small and low, as people; a part of a fence.
-"""
+A trunk or post; a thin piece and a short piece, which may be of one; a piece of few shots;
+something small and low, as people; a part of a fence. """
 LORRY_BIN = 16
 """Counts of level bins count the bins of a body that hangs high once more, times this."""
 
@@ -76,7 +75,7 @@ class Walls(NamedTuple):
     """Walls beside every line; distances are negative on the negative side, 0 = no wall."""
 
     side_m: F32_2
-    """(lines, STRIPS) float32, distance of the wall in a strip or between it and the scanner [m]."""
+    """(lines, STRIPS) float32, distance of the wall in or before a strip [m]."""
     top_m: F32_2
     """(lines, STRIPS) float32, height of the top of that wall above the scanner [m]."""
     ahead_m: F32_2
@@ -117,7 +116,7 @@ class WalkMemory(NamedTuple):
     age: I32_2
     """(2, BINS) int32, lines since the bin was last seen."""
     level_shots: F32_2
-    """(2, DEPTHS) float32, level shots near the scanner and all, of the lines since any bin was known."""
+    """(2, DEPTHS) float32, level shots near the scanner, and all, since a bin was known."""
     level_m: F32_2
     """(2, DEPTHS) float32, sums of their heights [m]."""
 
@@ -230,7 +229,7 @@ class Surroundings(NamedTuple):
 
 
 class CarTops(NamedTuple):
-    """Heights above the ground up to which shots are part of a car, (2 STRIPS,) float32, 0 = no car [m]."""
+    """(2 STRIPS,) float32, height above ground of the top of a car, 0 = no car [m]."""
 
     smooth_m: F32
     """Shots in smooth surroundings."""

@@ -130,7 +130,7 @@ def strides_of(
 
 
 def _begin(first_line: int) -> int:
-    """Return the first line, counted from a block's first, that was not counted with the blocks before."""
+    """Return the first line of a block that earlier blocks did not count."""
     return COUNTED_LINES if first_line > 0 else 0
 
 

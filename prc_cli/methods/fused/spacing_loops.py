@@ -74,7 +74,7 @@ def _count_again(
     leaves: U8,
     row: I32,
 ) -> None:
-    """Count the leaves of a line where an earlier line has a return too, and where that is as far."""
+    """Count leaves of a line where an earlier line has a return, and one as far."""
     both = np.int32(0)
     same = np.int32(0)
     for i in range(len(ranges)):

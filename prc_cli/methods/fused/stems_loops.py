@@ -204,7 +204,7 @@ def _floors(
     bins: I32,
     shares: F64,
 ) -> None:
-    """Write the bin before every shot of a line, the middles of bins taken, and how far beyond it the shot is."""
+    """Write the bin before every shot of a line, and how far beyond its middle the shot is."""
     half = n_bins // 2
     for column in range(len(ranges)):
         r = np.float64(ranges[column])
@@ -802,7 +802,7 @@ def forest_labels(
     columns_around: int,
     thresholds: ForestThresholds,
 ) -> U8_2:
-    """Give every shot of a block of forest the rule that decides on it (:class:`~prc_cli.core.classes.Reason`).
+    """Give every shot the rule that decides it (:class:`~prc_cli.core.classes.Reason`).
 
     ``range_m`` (lines, M) float32, metres; ``height_m`` (lines, M) float32, metres; ``stems``
     (lines, M) bool; returns (lines, M) uint8.

@@ -1,4 +1,4 @@
-"""Loops of the fused classifier over shots above the ground, sorted into narrow strips beside the scanner.
+"""Sort shots above the ground into narrow strips beside the scanner.
 
 A strip is :data:`STRIP_M` wide; heights above the ground are divided into slots of :data:`SLOT_M`,
 one bit each. Level surfaces are kept in bins of half the width. Strips of adjacent lines are
@@ -44,13 +44,13 @@ _FAR_BINS = np.float32(1e6)
 FENCE_LINES = (9, 30)
 FENCE_M = np.float32(0.2)
 FENCE_SEEN = 6
-"""So many of the lines this far before and after see a fence in the direction of a shot, as far away [m]."""
+"""A fence is seen as far away by so many of the lines this far before and after [m]."""
 CLIMB_M = np.float32(0.3)
 CLIMB_SIDE_M = np.float32(0.4)
-"""A thing is followed upwards from line to line over gaps of this height, and so far to the side [m]."""
+"""An object is followed upwards over gaps of this height, and so far to the side [m]."""
 COUNT = np.uint8(63)
 CLOSE = np.uint8(64)
-"""Bits of the lines to one side that see a thing, and of an end beside which something stands close behind it."""
+"""Bits of lines that see an object, and of an end with something close behind it."""
 NO_END = np.uint8(127)
 """Where a thing goes on, or something stands before its end."""
 FREE = np.uint8(1)
@@ -59,14 +59,14 @@ NARROW = np.uint8(2)
 ROUND = np.float32(0.34)
 """By how much of its radius the middle half of a round thing is nearer than its outer quarters."""
 CHEST_M = np.float32(1.0)
-"""What begins above this is somebody only if it is higher than a piece of a roof between windows [m]."""
+"""A higher start is a body only if it is taller than roof between windows [m]."""
 SAMPLES = 8
 """Shots of a run by which its depth is measured, at most."""
 
 
 @inlined
 def _bin(y: np.float32, width: np.float32) -> np.int32:
-    """Return which of the bins to the left and right a shot is in, 0 = the first beside the scanner."""
+    """Return the bin of a shot to the left or right, 0 = the first beside the scanner."""
     return np.int32(np.floor(min(max(y / width, -_FAR_BINS), _FAR_BINS)))
 
 
@@ -79,7 +79,7 @@ def _count_on(
     far: np.float32,
     lines: U8,
 ) -> None:
-    """Go on by a line: write how many lines see the thing of every shot, up to one that sees past it.
+    """Add a line: write how many lines see every shot's object, up to one that sees past it.
 
     A single missing shot is no end.
     """
@@ -142,7 +142,7 @@ def _bulge(
     before: np.uint8,
     after: np.uint8,
 ) -> np.float32:
-    """Return by how much the middle half of the lines that see a thing is nearer than both outer quarters; else 0."""
+    """Return how much nearer the middle half of the lines is than both outer quarters; else 0."""
     first = line - int(before & COUNT) + 1
     n = int(before & COUNT) + int(after & COUNT) - 1
     quarter = max(n // 4, 1)
@@ -171,7 +171,7 @@ def _climb(
     beams: Beams,
     most: np.float32,
 ) -> np.float32:
-    """Return how much higher than a shot lines around see the same thing, as a slanted plane climbs it [m]."""
+    """Return how much higher the lines around see the object, as a slanted plane does [m]."""
     sine, cosine = beams
     range_m = window_m[line, i]
     best = np.float32(0.0)
@@ -199,7 +199,7 @@ def _climb(
 
 @inlined
 def _is_fence(window_m: F32, line: int, i: int) -> bool:
-    """Return whether many lines farther along the street see something as far away in the direction of a shot."""
+    """Whether many lines farther along the street see something as far away as a shot."""
     n = 0
     range_m = window_m[line, i]
     for k in range(max(line - FENCE_LINES[1], 0), min(line + FENCE_LINES[1] + 1, len(window_m))):
@@ -458,7 +458,7 @@ def _mark_kinds(
     upright: U8,
     level: U8,
 ) -> None:
-    """Write the slots of the shots of a line, and mark rough ones, those on walls and those on low level surfaces.
+    """Write the slots of a line's shots; mark rough shots, walls and low level surfaces.
 
     What is level and higher than the scanner is seen from below: a ceiling.
     """
@@ -487,7 +487,10 @@ def _mark_kinds(
 
 @helper
 def _keep_walls(upright: U8, side: F32, height: F32, shares: StripSums) -> None:
-    """Write the shares of a line's shots in walls, whose ``length_m`` is known; 0 or no top off walls."""
+    """Write the shares of a line's shots in walls, whose ``length_m`` is known.
+
+    0 or no top off walls.
+    """
     extents, wall, place, top = shares
     for i in range(len(upright)):
         wall[i] = extents[i] if upright[i] != 0 else np.float32(0.0)
@@ -558,7 +561,7 @@ def _mark_levels(
     jump: np.float32,
     levels: U8,
 ) -> None:
-    """Mark the bins between every shot on a level surface and the adjacent shots, where these are close."""
+    """Mark the bins between shots on a level surface and close adjacent shots."""
     n = 0
     for k in range(len(shots)):
         i = shots[k]
@@ -765,7 +768,7 @@ def _look_out(
     thresholds: WallThresholds,
     walls: Walls,
 ) -> None:
-    """Write for every strip of a line the wall in front of it, seen from the scanner, and the wall behind it."""
+    """Write for every strip of a line the wall before it and the wall behind it."""
     half = STRIPS // 2
     for s in range(2):
         way = 1 if s == 0 else -1

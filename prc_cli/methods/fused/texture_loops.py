@@ -115,7 +115,7 @@ def _share_at_depth(
     half: int,
     depth_m: np.float32,
 ) -> np.float32:
-    """Return the share of smooth pairs of those shots of a place that are about as far away as its middle one.
+    """Return the share of smooth pairs of shots about as far away as the middle of a place.
 
     Where others hide part of it, fewer pairs can be smooth.
     """
@@ -158,7 +158,7 @@ def _look_at_depth(
     shares: F32,
     shots: I32,
 ) -> None:
-    """Raise the share of rough places around smooth shots to that of what is about as far away, if it is more."""
+    """Raise the share of rough places around smooth shots to the share at their distance."""
     range_m = ranges.middle
     n = 0
     for i in range(len(shares)):

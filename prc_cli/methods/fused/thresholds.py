@@ -55,7 +55,7 @@ class SmoothThresholds(NamedTuple):
     gap_steps: np.float32 = f32(16)
     """... or so many distances between adjacent columns, if that is more."""
     apart_m: np.float32 = f32(0.012)
-    """Shots of a line are compared at least so far from each other, where columns allow it [m] ..."""
+    """Shots of a line are compared at least so far apart, if columns allow it [m] ..."""
     leaf_m: np.float32 = f32(0.03)
     """... and two columns apart, up to this distance: leaves are smaller [m]."""
 
@@ -110,7 +110,7 @@ class WalkThresholds(NamedTuple):
     follow: np.float32 = f32(0.4)
     """Share of a new height in the memory of its place."""
     start_reach_m: np.float32 = f32(4)
-    """Where no place is known, the ground is searched up to this far to the side, if anything is level there [m]."""
+    """If no place is known, the ground is searched up to this far to the side [m]."""
 
 
 class ColumnThresholds(NamedTuple):
@@ -161,7 +161,7 @@ class ColumnThresholds(NamedTuple):
     slim_lines: np.float32 = f32(4)
     """What so few lines see is thin ..."""
     piece_lines: np.float32 = f32(24)
-    """... and so few, and lower than tall_m, may be a piece that a slanted plane cuts from a post."""
+    """... and so few, lower than tall_m, may be a slanted plane's piece of a post."""
 
 
 class StripThresholds(NamedTuple):
@@ -371,7 +371,7 @@ class Smoothness(NamedTuple):
     pairs: SmoothThresholds = SmoothThresholds()
 
     def thresholds(self, noise_m: float, step_rad: float) -> SmoothThresholds:
-        """Return what the loop is given, for a range noise [m] and an angle between columns [rad]."""
+        """Return the limits of the loop for a range noise [m] and a column step [rad]."""
         return self.pairs._replace(
             tolerance_m=f32(max(self.least_m, self.noise_sigmas * noise_m)),
             tolerance_per_m=f32(self.per_metre + self.per_step * step_rad),
@@ -397,7 +397,7 @@ class Spaced(NamedTuple):
     def thresholds(
         self, smoothness: Smoothness, noise_m: float, step_rad: float
     ) -> SpacingThresholds:
-        """Return what the loop is given, for a range noise [m] and an angle between columns [rad]."""
+        """Return the limits of the loop for a range noise [m] and a column step [rad]."""
         smooth = smoothness.thresholds(noise_m, step_rad)
         per_m = self.sigmas * float(smooth.tolerance_per_m)
         return SpacingThresholds(
@@ -431,7 +431,7 @@ class Foliage(NamedTuple):
     """... at least this far apart [rad]."""
 
     def thresholds(self, share: float, step_rad: float) -> DepthThresholds:
-        """Limits of the loop, for the share below which a place is rough and an angle between columns [rad]."""
+        """Return the limits of the loop for a rough share and a column step [rad]."""
         pairs = 0 if step_rad >= self.depth_step_rad else self.depth_pairs
         return DepthThresholds(f32(share if self.at_depth else 0.0), f32(self.depth_m), f32(pairs))
 
@@ -469,7 +469,7 @@ class Limits(NamedTuple):
     curbs: CurbThresholds | None = CurbThresholds()
     roofs: FanThresholds = FanThresholds()
     roof_step_rad: float = math.radians(0.2)
-    """Cars are also found by lines across their roofs, where columns are at least so far apart [rad]."""
+    """Lines across roofs also find cars if columns are at least so far apart [rad]."""
     room_m: float = 6.0
     """No car is where less than 1 % of the returns around are farther: a room [m]."""
 
@@ -580,7 +580,7 @@ class Forest(NamedTuple):
     stems: StemThresholds = StemThresholds()
     classes: ForestThresholds = ForestThresholds()
     run_sigmas: float = 2.0
-    """How far beside a run its next return may be, in standard deviations of the range noise, if that is more."""
+    """Most distance of the next return beside a run, in sigmas of the range, if more."""
     soil_sigmas: float = 2.0
     """Height up to which returns are ground, in the same."""
     flat_sigmas: float = 3.0

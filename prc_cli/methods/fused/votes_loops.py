@@ -62,7 +62,7 @@ def _mark_unsettled(
     after: U8,
     unsettled: U8,
 ) -> None:
-    """Mark the shots whose label differs from that of a shot a few columns away, or of an adjacent line."""
+    """Mark shots with another label than a shot a few columns away, or of an adjacent line."""
     m = len(labels)
     for i in range(m):
         unsettled[i] = _differs(before[i], labels[i]) | _differs(after[i], labels[i])
@@ -184,7 +184,7 @@ def vote_labels(
     half_m: np.float32,
     near_m: np.float32,
 ) -> U8_2:
-    """Let every shot that is neither ground nor noise take the label of most of the shots around it.
+    """Give every shot but ground and noise the label of most shots around it.
 
     A small thing keeps its label, and so does a shot where those four columns to both sides and in
     the adjacent lines have the same one. Noise does not vote.

@@ -44,7 +44,10 @@ def test_several_turns_are_named_and_the_hint_reads_them(tmp_path: Path) -> None
     assert sum(block.n_lines for block in blocks) == 3 * 360
 
 
-NAMES = '"Points_m_XYZ:0","Points_m_XYZ:1","Points_m_XYZ:2","laser_id","azimuth","distance_m","timestamp"'
+NAMES = (
+    '"Points_m_XYZ:0","Points_m_XYZ:1","Points_m_XYZ:2",'
+    '"laser_id","azimuth","distance_m","timestamp"'
+)
 FIRING = (0, 2, 4, 6, 8, 10, 12, 14, 1, 3, 5, 7, 9, 11, 13, 15)
 """Ring of every laser, in the order of firing."""
 
