@@ -329,3 +329,87 @@ def test_odd_trees_and_areas_are_refused_in_one_line(
     assert code == 1
     assert message in err
     assert err.count("\n") == 1
+
+
+def rows(path: Path, codes: list[int], order: list[int], first: int = 0) -> Path:
+    lines = [f"{first + record},{codes[record]}" for record in order]
+    path.write_text("\n".join(["record,class", *lines, ""]), encoding="utf-8")
+    return path
+
+
+CODES = [2, 6, 7, 2, 2, 6, 7, 2]
+SHUFFLED = [5, 2, 0, 7, 1, 3, 6, 4]
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_rows_with_record_numbers_are_paired_by_them(prc: Prc, tmp_path: Path, form: str) -> None:
+    np.save(tmp_path / "r.npy", np.array(CODES, np.uint8))
+    path = rows(tmp_path / "p.csv", CODES, SHUFFLED)
+    if form == "parquet":
+        columns = {"record": SHUFFLED, "class": [CODES[record] for record in SHUFFLED]}
+        pq.write_table(pa.table(columns), path := tmp_path / "p.parquet")
+    code, out, _ = prc(path, tmp_path / "r.npy")
+    assert code == 0
+    assert "accuracy 1.000" in out
+    assert "matched by record number" in out
+
+
+def test_numbers_from_one_and_two_files_in_one_other_order_are_in_order(
+    prc: Prc, tmp_path: Path
+) -> None:
+    np.save(tmp_path / "r.npy", np.array(CODES, np.uint8))
+    assert (
+        "Matched by order"
+        in prc(rows(tmp_path / "p.csv", CODES, list(range(8)), 1), tmp_path / "r.npy")[1]
+    )
+    both = rows(tmp_path / "p.csv", CODES, SHUFFLED), rows(tmp_path / "r.csv", CODES, SHUFFLED)
+    assert "accuracy 1.000" in prc(*both)[1]
+
+
+def test_record_numbers_that_a_file_of_points_lacks(prc: Prc, tmp_path: Path) -> None:
+    make_las(tmp_path / "r.las", 6, n=8)
+    code, _, err = prc(rows(tmp_path / "p.csv", CODES, SHUFFLED), tmp_path / "r.las")
+    assert code == 1
+    assert "rows are not in the order of their record numbers" in err
+
+
+def test_lengths_are_compared_before_anything_is_read(prc: Prc, tmp_path: Path) -> None:
+    np.save(tmp_path / "r.npy", np.array(CODES, np.uint8))
+    path = tmp_path / "p.npy"
+    np.save(path, np.full(9, 2, np.uint8))
+    path.write_bytes(path.read_bytes()[:-9])  # the header counts 9, which are not there
+    code, _, err = prc(tmp_path / "r.npy", path)
+    assert code == 1
+    assert "needs equal counts" in err or "ends" in err
+
+
+TREES = {
+    "x,y,radius\nnan,1,1\n": "row 1: a number that is not finite",
+    "x,y,radius\n1,1,1\n1,1,-2\n": "row 2: a number that is not finite, or a width below 0",
+    'x,y,radius\n"' + "1" * 200_000 + '",1,1\n': "field larger than field limit",
+}
+AREAS = {
+    "[" * 100_000: "no GeoJSON",
+    '{"type":"Polygon","coordinates":[[[1' + "0" * 400 + ",0],[1,0],[1,1],[0,0]]]}": "no GeoJSON",
+    '{"type":"Polygon","coordinates":[[[NaN,0],[1,0],[1,1],[NaN,0]]]}': "no GeoJSON",
+}
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "text", "message"),
+    [
+        *(("--trees", "t.csv", text, message) for text, message in TREES.items()),
+        *(("--inside", "a.geojson", text, message) for text, message in AREAS.items()),
+    ],
+)
+def test_odd_trees_and_areas_are_refused_in_one_line(
+    prc: Prc, tmp_path: Path, option: str, name: str, text: str, message: str
+) -> None:
+    make_las(tmp_path / "a.las", 6, n=20)
+    (tmp_path / name).write_text(text)
+    code, _, err = prc(
+        tmp_path / "a.las", tmp_path / "a.las", "--match", "nearest", option, tmp_path / name
+    )
+    assert code == 1
+    assert message in err
+    assert err.count("\n") == 1

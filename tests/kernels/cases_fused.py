@@ -47,44 +47,8 @@ from tests.kernels.twins import typed
 AROUND = 4
 INNER = 2
 THIN = 20
-USUAL = typed(
-    DecisionThresholds,
-    least_near=3,
-    spike_share=0.7,
-    below_m=0.3,
-    pit_near=9,
-    leaf_slots=5,
-    lone_m=10,
-    walked_m=0.3,
-    level_m=0.12,
-    soil_m=0.06,
-    leaf_share=0.4,
-    leaf_share_before_wall=0.2,
-    before_m=1.6,
-    front_m=0.4,
-    behind_m=2.5,
-    over_m=0.3,
-    car_top_m=3.75,
-    lorry_top_m=5.5,
-    car_bins=3,
-    car_bins_rough=6,
-    pole_m=1.0,
-    jump_m=0.5,
-    far_m=1.0,
-    crown_slots=5,
-    pole_shots=3,
-    thick_m=0.15,
-    arm_m=3.0,
-    box_m=2.0,
-    box_flat_m=0.25,
-    box_deep_m=0.75,
-    box_lines=16,
-    foot_m=0.3,
-    ghost_m=1.5,
-    ghost_near=15,
-    roof_m=6.0,
-    storey_m=2.5,
-)
+USUAL = DecisionThresholds()
+"""The limits of the program itself; cases scale them."""
 
 
 @dataclass
@@ -521,8 +485,7 @@ def box_case(rng: Generator) -> tuple[Any, ...]:
     )
     strips = np.zeros((n_lines, fused_strips.STRIPS), np.uint64)
     no_wall = np.zeros((n_lines, fused_strips.STRIPS), np.float32)
-    usual = DecisionThresholds._make(np.float32(value) for value in USUAL)
-    chosen = usual._replace(
+    chosen = USUAL._replace(
         far_m=np.float32(rng.choice([0.5, 1.0])),
         box_deep_m=np.float32(rng.choice([0.4, 0.75])),
         box_lines=np.float32(rng.choice([2, 16])),
