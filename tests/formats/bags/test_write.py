@@ -192,39 +192,3 @@ def test_times_that_no_message_can_have_are_refused(
     with pytest.raises(PrcError):
         convert(source, tmp_path / f"o{suffix}", load_config(options={"input": {"order": "trust"}}))
     assert [path.name for path in tmp_path.iterdir() if not path.name.startswith("in.")] == []
-
-
-def with_times(folder: Path, change: Callable[[np.ndarray], None]) -> Path:
-    """An archive of lines of a profiler with other times."""
-    path = folder / "in.npz"
-    simulate("street", path, load_settings("street", options={**WALK, "lines": 30}))
-    arrays = dict(np.load(path))
-    change(arrays["time_s"])
-    np.savez(path, **arrays)
-    return path
-
-
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_shots_without_a_time_lie_between_others(tmp_path: Path, suffix: str) -> None:
-    def change(time_s: np.ndarray) -> None:
-        time_s[3, :5] = time_s[3, -7:] = time_s[4, 100] = np.nan
-
-    source, bag = with_times(tmp_path, change), tmp_path / f"o{suffix}"
-    convert(source, bag, load_config(options={"input": {"order": "trust"}}))
-    found, expected = whole(bag)["time_s"], np.load(source)["time_s"]
-    known = np.isfinite(expected)
-    assert found[known] == pytest.approx(expected[known], abs=2e-8)
-
-
-@pytest.mark.parametrize("value", [np.nan, -5.0, 1e12])
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_times_that_no_message_can_have_are_refused(
-    tmp_path: Path, suffix: str, value: float
-) -> None:
-    def change(time_s: np.ndarray) -> None:
-        time_s[7] = value
-
-    source = with_times(tmp_path, change)
-    with pytest.raises(PrcError):
-        convert(source, tmp_path / f"o{suffix}", load_config(options={"input": {"order": "trust"}}))
-    assert [path.name for path in tmp_path.iterdir() if not path.name.startswith("in.")] == []

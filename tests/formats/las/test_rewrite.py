@@ -428,29 +428,3 @@ def test_texts_that_are_none_are_written_so_that_others_can_read_the_file(
     assert any(
         "were written as ?" in notice for notice in json.loads(new.record_payloads()[0])["notices"]
     )
-
-
-@pytest.mark.parametrize(
-    ("before", "after"), [(".las", ".laz"), (".laz", ".laz"), (".las", ".las")]
-)
-def test_texts_that_are_none_are_written_so_that_others_can_read_the_file(
-    tmp_path: Path, before: str, after: str
-) -> None:
-    source, output = tmp_path / f"in{before}", tmp_path / f"out{after}"
-    vlrs = (
-        vlr_bytes(b"LASF_Projection", 2112, b"PROJCS[\xe9]\0"),
-        vlr_bytes(b"M\xfcller", 77, bytes(range(256))),
-    )
-    old = make_las(source, 6, minor=4, vlrs=vlrs, evlrs=(evlr_bytes(b"B\xe4r", 5, b"abc"),))
-    writing = writer(output, source)
-    with pytest.raises(UnicodeDecodeError), laspy.open(source):
-        pass
-    new, codes = rewrite(source, output)
-    with laspy.open(output) as reader:
-        assert len(reader.read().points) == len(codes)
-        assert {vlr.user_id for vlr in reader.header.evlrs} == {"B?r"}
-    assert [len(vlr) for vlr in new.kept_vlrs()] == [len(vlr) for vlr in old.kept_vlrs()]
-    assert new.kept_vlrs()[1][54:] == bytes(range(256))
-    assert any(
-        "were written as ?" in notice for notice in json.loads(new.record_payloads()[0])["notices"]
-    )
