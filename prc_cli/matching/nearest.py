@@ -9,7 +9,7 @@ import math
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, BinaryIO, TypeAlias
+from typing import Any, BinaryIO, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,35 +28,41 @@ TILE_RECORDS = 1 << 18
 """Records of both sides in a tile, about: trees of more do not fit the processor's caches."""
 LEAST_M = 0.002
 """Least tolerance by default: registered clouds are rounded to a millimetre or two."""
-SPREADS = 3.0
-_LEAST_SPREADS = 2.0
-"""Bounds of the tolerance by default.
-
-In median distances of the clouds or of the points of the right one."""
+_MIN_SPREADS = 2.0
+"""Least tolerance by default, in median distances between the clouds."""
+_MAX_SPREADS = 3.0
+"""Largest one, in median distances between the clouds, or in spacings of the right one."""
+_GROWTH = 1.05
 _WIDER = 1.2
-_FEW_MORE = 0.03
-_STEP = 1.05
-_MARGIN = 1.07
-"""The tolerance grows by ``_STEP`` until one ``_WIDER`` times as wide would find partners for less
-than ``_FEW_MORE`` of the points without one. ``_MARGIN`` is for places outside the sample."""
-_FARTHEST_M = 3.0
+_FEW_SHARE = 0.03
+"""The tolerance grows by the factor ``_GROWTH`` while a tolerance ``_WIDER`` times as large would
+give partners to more than ``_FEW_SHARE`` of the points that have none."""
+_SAFETY = 1.07
+"""Factor of the final tolerance: outside the sample, clouds may be farther apart."""
+_FIT_REACH_M = 3.0
+"""Points of the sample that are farther apart count as infinitely far [m]."""
 _SAMPLED_TILES = 12
 _SAMPLED_RECORDS = 20_000
-_TREE = {"balanced_tree": False, "compact_nodes": False}
-"""Medians are slow where many points share a coordinate, as on a grid."""
-_TIES = 4
+"""Points of a sampled tile, at most."""
+_TREE_OPTIONS = {"balanced_tree": False, "compact_nodes": False}
+"""A balanced tree is slow to build if many points share a coordinate, as on a grid."""
+_MAX_TIED = 4
+"""Nearest points whose times are compared if they are equally near."""
 _NEIGHBOURS = 5
 """The distance to this many points of the reference is the spacing around a point."""
-_READ_AT_ONCE = 1 << 20
-_MIDDLE = 1 << 30
+_RECORDS_PER_READ = 1 << 20
+_KEY_ORIGIN = 1 << 30
+"""Added to columns and rows of cells, so that both halves of a key are positive."""
 _FINE_M = 1.0
-"""Edge of the squares within a cell by which its points are ordered [m]."""
-_SIDE = 4
-_HALF = 1 << 26
-"""Bits of these squares along a cell, and half the cells along the plan."""
+"""Edge of the fine squares within a cell, by which its points are ordered [m]."""
+_FINE_BITS = 4
+"""A cell is 2 to the power of this many fine squares wide: 16 of 1 m."""
+_FINE_ORIGIN = 1 << 26
+"""Added to columns and rows of cells in keys of fine squares, which have fewer bits for them."""
 SQUARE_M = 2.0
-"""Edge of the squares in which points are counted [m]."""
-_MOST_LOOSE = 1 << 17
+"""Edge of the squares in which points are counted, two fine squares wide [m]."""
+_MAX_UNMERGED = 1 << 17
+"""Squares whose counts may wait to be added up."""
 
 Box: TypeAlias = tuple[float, float, float, float]
 """x and y of the lower corner, x and y of the upper one (exclusive) [m]."""
@@ -64,7 +70,7 @@ Box: TypeAlias = tuple[float, float, float, float]
 
 def keys_of(column: I64, row: I64) -> I64:
     """Return a number for every cell, by column and then by row."""
-    return ((column + _MIDDLE) << 32) + row + _MIDDLE
+    return ((column + _KEY_ORIGIN) << 32) + row + _KEY_ORIGIN
 
 
 def cell_keys(x: F64, y: F64, edge_m: float) -> I64:
@@ -78,33 +84,53 @@ def cell_places(keys: I64) -> tuple[I64, I64]:
     >>> cell_places(cell_keys(np.array([-0.5]), np.array([33.0]), 16.0))
     (array([-1]), array([2]))
     """
-    return (keys >> 32) - _MIDDLE, (keys & 0xFFFFFFFF) - _MIDDLE
+    return (keys >> 32) - _KEY_ORIGIN, (keys & 0xFFFFFFFF) - _KEY_ORIGIN
 
 
-def _nested_keys(x: F64, y: F64) -> I64:
-    """Return a number for the square of every point, by cell and then by the square in it."""
-    column, row = (np.floor(values / _FINE_M).astype(np.int64) for values in (x, y))
-    cell = (((column >> _SIDE) + _HALF) * (2 * _HALF) + (row >> _SIDE) + _HALF) << 2 * _SIDE
-    last = (1 << _SIDE) - 1
-    key: I64 = cell + ((column & last) << _SIDE) + (row & last)
+def _fine_keys(x: F64, y: F64) -> I64:
+    """Return a number for the fine square of every point, by cell and then by the square in it."""
+    column = np.floor(x / _FINE_M).astype(np.int64)
+    row = np.floor(y / _FINE_M).astype(np.int64)
+    cell_column = (column >> _FINE_BITS) + _FINE_ORIGIN
+    cell_row = (row >> _FINE_BITS) + _FINE_ORIGIN
+    cell = cell_column * (2 * _FINE_ORIGIN) + cell_row
+    in_cell = (1 << _FINE_BITS) - 1
+    square = ((column & in_cell) << _FINE_BITS) + (row & in_cell)
+    key: I64 = (cell << (2 * _FINE_BITS)) + square
     return key
 
 
-def _nested_places(keys: I64) -> tuple[I64, I64]:
-    """Return column and row of squares.
+def _fine_places(keys: I64) -> tuple[I64, I64]:
+    """Return column and row of fine squares.
 
-    >>> _nested_places(_nested_keys(np.array([-0.5]), np.array([33.0])))
+    >>> _fine_places(_fine_keys(np.array([-0.5]), np.array([33.0])))
     (array([-1]), array([33]))
     """
-    cell_column, cell_row = np.divmod(keys >> 2 * _SIDE, 2 * _HALF)
-    last = (1 << _SIDE) - 1
-    column = ((cell_column - _HALF) << _SIDE) + (keys >> _SIDE & last)
-    row = ((cell_row - _HALF) << _SIDE) + (keys & last)
+    cell_column, cell_row = np.divmod(keys >> (2 * _FINE_BITS), 2 * _FINE_ORIGIN)
+    in_cell = (1 << _FINE_BITS) - 1
+    column = ((cell_column - _FINE_ORIGIN) << _FINE_BITS) + ((keys >> _FINE_BITS) & in_cell)
+    row = ((cell_row - _FINE_ORIGIN) << _FINE_BITS) + (keys & in_cell)
     return column, row
 
 
+class _Segments(NamedTuple):
+    """Runs of records of one cell in the temporary file, (s,) int64 each."""
+
+    cell: I64
+    """:func:`keys_of` the cell."""
+    first: I64
+    """First record."""
+    n_records: I64
+
+
+_NO_SEGMENTS = _Segments(*(np.empty(0, np.int64) for _ in range(3)))
+
+
 class Cloud:
-    """The points of one side in a temporary file, ordered by cell and square within every chunk."""
+    """The points of one side in a temporary file.
+
+    Every chunk is sorted by cell and by fine square, so a cell has one segment in each chunk.
+    """
 
     def __init__(self, chunks: Iterator[Columns], handle: BinaryIO) -> None:
         """Read all chunks; each has ``x``, ``y``, ``z`` (finite) and the same other columns."""
@@ -115,22 +141,25 @@ class Cloud:
         self.low = np.full(3, np.inf)
         self.high = np.full(3, -np.inf)
         self._squares: list[tuple[I64, I64]] = [(np.empty(0, np.int64), np.empty(0, np.int64))]
-        parts = [
-            self._put(columns, n) for columns in read_ahead(chunks) if (n := len(columns["x"]))
-        ]
-        parts.append((np.empty(0, np.int64),) * 3)
-        cells, first, count = (np.concatenate(part) for part in zip(*parts, strict=True))
-        order = np.argsort(cells, kind="stable")
-        self._cells = cells[order]
-        self._first = first[order]
-        self._count = count[order]
+        """Keys and counts of squares: first the merged ones, then those of single chunks."""
+        segments = [_NO_SEGMENTS]
+        segments.extend(
+            self._write_chunk(columns) for columns in read_ahead(chunks) if len(columns["x"])
+        )
+        cell = np.concatenate([part.cell for part in segments])
+        order = np.argsort(cell, kind="stable")
+        self._segments = _Segments(
+            cell[order],
+            np.concatenate([part.first for part in segments])[order],
+            np.concatenate([part.n_records for part in segments])[order],
+        )
 
-    def _put(self, columns: Columns, n: int) -> tuple[I64, I64, I64]:
-        """Write a chunk; return the cells of its segments, their first record and their length."""
+    def _write_chunk(self, columns: Columns) -> _Segments:
+        n = len(columns["x"])
         if not self.n:
             self._dtype = np.dtype([(name, values.dtype) for name, values in columns.items()])
-        key = _nested_keys(columns["x"], columns["y"])
-        order = np.argsort(key, kind="stable")
+        keys = _fine_keys(columns["x"], columns["y"])
+        order = np.argsort(keys, kind="stable")
         records = np.empty(n, self._dtype)
         for name, values in columns.items():
             records[name] = values[order]
@@ -139,39 +168,41 @@ class Cloud:
         for axis, name in enumerate(AXES):
             self.low[axis] = min(self.low[axis], columns[name].min())
             self.high[axis] = max(self.high[axis], columns[name].max())
-        key = key[order]
-        borders = np.flatnonzero(np.append(True, key[1:] != key[:-1]))
-        column, row = _nested_places(key[borders])
-        self._count_squares(keys_of(column >> 1, row >> 1), np.diff(borders, append=n))
-        cell = keys_of(column >> _SIDE, row >> _SIDE)
-        new = np.flatnonzero(np.append(True, cell[1:] != cell[:-1]))
-        first = borders[new]
-        segments = cell[new], first + self.n, np.diff(first, append=n)
+        sorted_keys = keys[order]
+        square_starts = _run_starts(sorted_keys)
+        column, row = _fine_places(sorted_keys[square_starts])
+        # a counted square is two fine squares wide
+        self._count_squares(keys_of(column >> 1, row >> 1), np.diff(square_starts, append=n))
+        cell = keys_of(column >> _FINE_BITS, row >> _FINE_BITS)
+        cell_starts = _run_starts(cell)
+        first = square_starts[cell_starts]
+        segments = _Segments(cell[cell_starts], first + self.n, np.diff(first, append=n))
         self.n += n
         return segments
 
-    def _count_squares(self, keys: I64, n: I64) -> None:
-        self._squares.append((keys, n))
-        # few merges, and little memory
-        if sum(len(keys) for keys, _ in self._squares[1:]) > max(
-            len(self._squares[0][0]), _MOST_LOOSE
-        ):
+    def _count_squares(self, keys: I64, counts: I64) -> None:
+        self._squares.append((keys, counts))
+        merged, *unmerged = self._squares
+        # a merge sorts all squares: it waits until the new ones are as many as the merged ones
+        if sum(len(keys) for keys, _ in unmerged) > max(len(merged[0]), _MAX_UNMERGED):
             self._squares = [self.squares()]
 
     def squares(self) -> tuple[I64, I64]:
         """Return the squares with points, as sorted :func:`cell_keys`, and their counts."""
-        keys, n = (np.concatenate(parts) for parts in zip(*self._squares, strict=True))
-        keys, place = np.unique(keys, return_inverse=True)
-        return keys, np.bincount(place, n, len(keys)).astype(np.int64)
+        counts = np.concatenate([counts for _, counts in self._squares])
+        keys, index = np.unique(
+            np.concatenate([keys for keys, _ in self._squares]), return_inverse=True
+        )
+        return keys, np.bincount(index, counts, len(keys)).astype(np.int64)
 
     def counts(self) -> tuple[I64, I64]:
-        """Return the cells that hold points, and how many."""
-        cells, index = np.unique(self._cells, return_inverse=True)
-        return cells, np.bincount(index, self._count, len(cells)).astype(np.int64)
+        """Return the cells with points, as sorted :func:`cell_keys`, and their counts."""
+        cells, index = np.unique(self._segments.cell, return_inverse=True)
+        return cells, np.bincount(index, self._segments.n_records, len(cells)).astype(np.int64)
 
     def read(self, box: Box, margin: float = 0.0) -> Columns:
-        """Return the points of a box and of a margin around it."""
-        # a margin may be as wide as any number
+        """Return the points of a box and of a margin around it [m]."""
+        # the margin may be infinite: it ends a cell outside the cloud, so that keys do not overflow
         (x_low, y_low, _) = self.low - CELL_M
         (x_high, y_high, _) = self.high + CELL_M
         x0 = max(box[0] - margin, min(x_low, box[0]))
@@ -179,30 +210,33 @@ class Cloud:
         x1 = min(box[2] + margin, max(x_high, box[2]))
         y1 = min(box[3] + margin, max(y_high, box[3]))
         ends = cell_keys(np.array([x0, x1]), np.array([y0, y1]), CELL_M)
-        (low, high), (bottom, top) = cell_places(ends)
-        held = np.unique(self._cells >> 32)
-        columns = held[(held >= low + _MIDDLE) & (held <= high + _MIDDLE)] << 32
-        starts = np.searchsorted(self._cells, columns + bottom + _MIDDLE, side="left")
-        stops = np.searchsorted(self._cells, columns + top + _MIDDLE, side="right")
-        spans = [np.arange(a, b) for a, b in zip(starts, stops, strict=True)]
+        (west, east), (south, north) = cell_places(ends)
+        cells = self._segments.cell
+        columns = np.unique(cell_places(cells)[0])
+        columns = columns[(columns >= west) & (columns <= east)]
+        # segments are sorted by key: within a column from south to north
+        starts = np.searchsorted(cells, keys_of(columns, south), side="left")
+        stops = np.searchsorted(cells, keys_of(columns, north), side="right")
+        spans = [np.arange(start, stop) for start, stop in zip(starts, stops, strict=True)]
         chosen = np.concatenate([np.empty(0, np.int64), *spans])
-        chosen = chosen[np.argsort(self._first[chosen])]
+        # the file is read from its start to its end
+        chosen = chosen[np.argsort(self._segments.first[chosen])]
         parts = [np.empty(0, self._dtype)]
-        for records in self._segments(chosen):
+        for records in self._read_segments(chosen):
             x = records["x"]
             y = records["y"]
             inside = (x >= x0) & (x < x1) & (y >= y0) & (y < y1)
             parts.append(records if inside.all() else records[inside])
         records = np.concatenate(parts)
-        # neighbours in memory are neighbours in space: queries of a tree are then twice as fast;
-        # parts are in order
+        # with neighbours in space beside each other in memory, queries of a tree are twice as fast
         order = np.argsort(cell_keys(records["x"], records["y"], _FINE_M), kind="stable")
         return {name: records[name][order] for name in self._dtype.names or ()}
 
-    def _segments(self, chosen: I64) -> Iterator[NDArray[Any]]:
-        first = self._first[chosen]
-        count = self._count[chosen]
-        groups = np.cumsum(count) // _READ_AT_ONCE
+    def _read_segments(self, chosen: I64) -> Iterator[NDArray[Any]]:
+        """Yield the records of segments, given by index, in arrays of limited size."""
+        first = self._segments.first[chosen]
+        count = self._segments.n_records[chosen]
+        groups = np.cumsum(count) // _RECORDS_PER_READ
         for group in np.unique(groups).tolist():
             members = np.flatnonzero(groups == group)
             records = np.empty(int(count[members].sum()), self._dtype)
@@ -216,58 +250,67 @@ class Cloud:
             yield records
 
 
+def _run_starts(keys: I64) -> I64:
+    """Return the index of the first key of every run of equal keys."""
+    return np.flatnonzero(np.append(True, keys[1:] != keys[:-1]))
+
+
+class _Node(NamedTuple):
+    """A square of the plan that may be quartered; lengths in cells."""
+
+    column: int
+    row: int
+    size: int
+    members: I64
+    """Index of its cells."""
+
+
 def tiles_of(left: Cloud, right: Cloud, most: int = TILE_RECORDS) -> list[Box]:
     """Cut the plan into boxes of at most about ``most`` points of both clouds.
 
-    No box is apart from the left cloud.
+    Right points count only in cells with left points and in the cells around these.
     """
-    left_counts = left.counts()
-    right_counts = right.counts()
-    around = [left_counts[0] + (i << 32) + j for i in (-1, 0, 1) for j in (-1, 0, 1)]
-    cells = np.union1d(left_counts[0], np.intersect1d(np.concatenate(around), right_counts[0]))
-    n = np.zeros(len(cells), np.int64)
-    for keys, counts in (left_counts, right_counts):
-        held = np.isin(keys, cells)
-        n[np.searchsorted(cells, keys[held])] += counts[held]
-    column, row = cell_places(cells)
-    tiles: list[Box] = []
+    left_cells, left_counts = left.counts()
+    right_cells, right_counts = right.counts()
+    around_left = [left_cells + (i << 32) + j for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    cells = np.union1d(left_cells, np.intersect1d(np.concatenate(around_left), right_cells))
     if not len(cells):
-        return tiles
-    span = max(int(np.ptp(column)), int(np.ptp(row))) + 1
-    nodes = [
-        (
-            int(column.min()),
-            int(row.min()),
-            1 << max(span - 1, 0).bit_length(),
-            np.arange(len(cells)),
-        )
-    ]
+        return []
+    n_points = np.zeros(len(cells), np.int64)
+    for keys, counts in ((left_cells, left_counts), (right_cells, right_counts)):
+        is_counted = np.isin(keys, cells)
+        n_points[np.searchsorted(cells, keys[is_counted])] += counts[is_counted]
+    columns, rows = cell_places(cells)
+    span = max(int(np.ptp(columns)), int(np.ptp(rows))) + 1
+    power_of_two = 1 << (span - 1).bit_length()
+    nodes = [_Node(int(columns.min()), int(rows.min()), power_of_two, np.arange(len(cells)))]
+    tiles: list[Box] = []
     while nodes:
-        x, y, size, members = nodes.pop()
-        total = int(n[members].sum())
+        column, row, size, members = nodes.pop()
+        total = int(n_points[members].sum())
         if total > most and size > 1:
             half = size // 2
-            east = column[members] >= x + half
-            north = row[members] >= y + half
+            east = columns[members] >= column + half
+            north = rows[members] >= row + half
             quarters = (
-                (~east & ~north, x, y),
-                (~east & north, x, y + half),
-                (east & ~north, x + half, y),
-                (east & north, x + half, y + half),
+                _Node(column, row, half, members[~east & ~north]),
+                _Node(column, row + half, half, members[~east & north]),
+                _Node(column + half, row, half, members[east & ~north]),
+                _Node(column + half, row + half, half, members[east & north]),
             )
-            nodes += [
-                (a, b, half, members[where]) for where, a, b in reversed(quarters) if where.any()
-            ]
+            # the last node is the next one
+            nodes += [quarter for quarter in reversed(quarters) if len(quarter.members)]
             continue
-        # a cell of too many points is cut evenly
-        parts = 1 << max(0, math.ceil(math.log2(max(total, 1) / most) / 2)) if size == 1 else 1
-        edge = size * CELL_M / parts
-        corners = [
-            (x * CELL_M + i * edge, y * CELL_M + j * edge)
-            for i in range(parts)
-            for j in range(parts)
-        ]
-        tiles += [(a, b, a + edge, b + edge) for a, b in corners]
+        n_parts = 1
+        if total > most:
+            # a single cell of too many points: a halving of its edges quarters the points
+            n_parts = 1 << math.ceil(math.log2(total / most) / 2)
+        edge_m = size * CELL_M / n_parts
+        for i in range(n_parts):
+            for j in range(n_parts):
+                x = column * CELL_M + i * edge_m
+                y = row * CELL_M + j * edge_m
+                tiles.append((x, y, x + edge_m, y + edge_m))
     return tiles
 
 
@@ -285,51 +328,72 @@ class Fit:
     """Share of the left points beyond it that are as near as right points are to each other."""
 
 
+class _TileSample(NamedTuple):
+    """Distances in one tile [m]."""
+
+    distance: F64
+    """(n,) from sampled left points to the nearest right point, infinite beyond the reach."""
+    spacing_around: F64
+    """(n,) from that right point to its fifth neighbour; 0 beyond the reach."""
+    spacing: F64
+    """(m,) from these right points, each once, to their nearest neighbour."""
+
+
+def _sample_tile(left_points: Columns, right: Cloud, box: Box) -> _TileSample | None:
+    """Measure the distances of left points to the right cloud; None if it has too few points."""
+    right_points, distance, nearest, tree = nearest_of(left_points, right, box, _FIT_REACH_M)
+    n_right = len(right_points["x"])
+    if tree is None or n_right <= _NEIGHBOURS:
+        return None
+    used = np.unique(nearest[np.isfinite(distance)])
+    # a point is its own first neighbour
+    to_neighbours = tree.query(tree.data[used], k=[2, _NEIGHBOURS + 1])[0]
+    # index n_right belongs to left points without a nearest right point
+    spacing_around = np.zeros(n_right + 1)
+    spacing_around[used] = to_neighbours[:, 1]
+    return _TileSample(distance, spacing_around[nearest], to_neighbours[:, 0])
+
+
 def fit_of(left: Cloud, right: Cloud) -> Fit | None:
     """Measure two clouds in tiles spread over the left one; None if they do not overlap."""
     boxes = tiles_of(left, right)
     random = np.random.default_rng(0)
-    parts: list[tuple[F64, F64, F64]] = []
+    samples: list[_TileSample] = []
     for box in random.permutation(np.array(boxes).reshape(-1, 4)).tolist():
-        if len(parts) == _SAMPLED_TILES:
+        if len(samples) == _SAMPLED_TILES:
             break
         left_points = left.read(tuple(box))
         if not len(left_points["x"]):
             continue
-        right_points, distance, nearest, tree = nearest_of(
-            sample_of(left_points, random), right, tuple(box), _FARTHEST_M
-        )
-        if tree is not None and len(right_points["x"]) > _NEIGHBOURS:
-            near = np.unique(nearest[np.isfinite(distance)])
-            distances = np.full((len(right_points["x"]), 2), np.inf)
-            distances[near] = tree.query(tree.data[near], k=[2, _NEIGHBOURS + 1])[0]
-            around = np.append(distances, [[np.inf, 0.0]], axis=0)[nearest]
-            parts.append((distance, around[:, 1], distances[near, 0]))
-    if not parts:
+        sample = _sample_tile(sample_of(left_points, random), right, tuple(box))
+        if sample is not None:
+            samples.append(sample)
+    if not samples:
         return None
-    distances, around, spacing = (np.concatenate(part) for part in zip(*parts, strict=True))
-    spread = float(np.median(distances))
-    step = float(np.median(spacing))
-    if not math.isfinite(spread):  # most points have no other near them
+    distance = np.concatenate([sample.distance for sample in samples])
+    spacing_around = np.concatenate([sample.spacing_around for sample in samples])
+    spread_m = float(np.median(distance))
+    spacing_m = float(np.median(np.concatenate([sample.spacing for sample in samples])))
+    if not math.isfinite(spread_m):  # most left points have no right point near them
         return None
-    tolerance = _tolerance(np.sort(distances), spread, step)
-    beyond = distances > tolerance
-    sparse = float(np.mean(distances[beyond] <= around[beyond])) if beyond.any() else 0.0
-    return Fit(spread, step, tolerance, sparse)
+    tolerance_m = _tolerance_of(np.sort(distance), spread_m, spacing_m)
+    beyond = distance > tolerance_m
+    sparse = float(np.mean(distance[beyond] <= spacing_around[beyond])) if beyond.any() else 0.0
+    return Fit(spread_m, spacing_m, tolerance_m, sparse)
 
 
-def _tolerance(apart: F64, spread: float, step: float) -> float:
-    """Return the least distance beyond which few partners are found; ``apart`` is sorted [m]."""
-    most = max(SPREADS * max(spread, step), LEAST_M)
-    tolerance = max(LEAST_M, _LEAST_SPREADS * spread)
+def _tolerance_of(sorted_distances: F64, spread: float, spacing: float) -> float:
+    """Return the least distance beyond which few more partners are found [m]."""
+    most = max(_MAX_SPREADS * max(spread, spacing), LEAST_M)
+    tolerance = max(LEAST_M, _MIN_SPREADS * spread)
     while tolerance < most:
-        beyond, wider = len(apart) - np.searchsorted(
-            apart, [tolerance, tolerance * _WIDER], side="right"
+        n_beyond, n_beyond_wider = len(sorted_distances) - np.searchsorted(
+            sorted_distances, [tolerance, tolerance * _WIDER], side="right"
         )
-        if beyond - wider <= _FEW_MORE * beyond:
+        if n_beyond - n_beyond_wider <= _FEW_SHARE * n_beyond:
             break
-        tolerance *= _STEP
-    return float(f"{min(_MARGIN * tolerance, most):.2g}")
+        tolerance *= _GROWTH
+    return float(f"{min(_SAFETY * tolerance, most):.2g}")
 
 
 def sample_of(
@@ -350,7 +414,7 @@ def tree_of(xyz: F64) -> Any:
     """Return a tree of points (n, 3)."""
     from scipy.spatial import cKDTree
 
-    return cKDTree(xyz, **_TREE)
+    return cKDTree(xyz, **_TREE_OPTIONS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -359,17 +423,16 @@ class Nearest:
 
     box: Box
     left: Columns
-    """Every left point comes once."""
+    """Left points of the box: n. Every left point is in one tile."""
     right: Columns
-    to: I64
+    """Right points of the box and of a margin."""
+    partner_index: I64
     """(n,) index in ``right``; -1 = none within the tolerance."""
     distance: F64
     """(n,) distance to the nearest right point, infinite beyond the reach [m]."""
     sparse: Mask
-    """(n,) points without partner that the right cloud may have lost.
-
-    They are no farther from it than its points there are from each other.
-    """
+    """(n,) points without partner that are no farther from the nearest right point than right
+    points there are from each other: the right cloud may have lost their partners."""
 
 
 def nearest_join(
@@ -387,41 +450,43 @@ def nearest_join(
     tolerance : float
         Largest distance of partners [m].
     tally : JoinTally
-        Is filled.
+        The counts of every tile are added to it.
     reach : float, optional
-        Distance up to which the nearest point and its spacing are measured, if beyond the
-        tolerance [m].
+        Distance up to which distances are measured [m]; default and least value: the tolerance.
     """
     reach = max(tolerance, reach or 0.0)
 
     def join(box: Box) -> tuple[Nearest, int]:
-        # right points of the tile can be partners of left points just outside
+        # left points just outside are read, too: their partners may be right points of the box,
+        # which are counted here
         left_points = left.read(box, tolerance)
-        core = _inside(left_points, box)
         right_points, distance, nearest, tree = nearest_of(
             left_points, right, box, reach, tolerance
         )
-        to = np.where(distance <= tolerance, nearest, -1)
-        used = np.zeros(len(right_points["x"]), np.bool_)
-        used[to[to >= 0]] = True
-        n_used = int(np.count_nonzero(used & _inside(right_points, box)))
-        left_points = {n: v[core] for n, v in left_points.items()}
-        to = to[core]
-        distance = distance[core]
-        nearest = nearest[core]
-        sparse = np.zeros(len(to), np.bool_)
-        lone = np.flatnonzero(np.isfinite(distance) & (to < 0))
-        if len(lone):
-            around = tree.query(tree.data[nearest[lone]], k=_NEIGHBOURS + 1)[0][:, -1]
-            sparse[lone] = distance[lone] <= around
-        return Nearest(box, left_points, right_points, to, distance, sparse), n_used
+        partner_index = np.where(distance <= tolerance, nearest, -1)
+        is_partner = np.zeros(len(right_points["x"]), np.bool_)
+        is_partner[partner_index[partner_index >= 0]] = True
+        n_partners = int(np.count_nonzero(is_partner & _inside(right_points, box)))
+        in_box = _inside(left_points, box)
+        left_points = {name: values[in_box] for name, values in left_points.items()}
+        partner_index = partner_index[in_box]
+        distance = distance[in_box]
+        nearest = nearest[in_box]
+        sparse = np.zeros(len(partner_index), np.bool_)
+        alone = np.flatnonzero(np.isfinite(distance) & (partner_index < 0))
+        if len(alone):
+            # a point is its own first neighbour
+            spacing = tree.query(tree.data[nearest[alone]], k=_NEIGHBOURS + 1)[0][:, -1]
+            sparse[alone] = distance[alone] <= spacing
+        return Nearest(box, left_points, right_points, partner_index, distance, sparse), n_partners
 
-    for tile, n_used in ordered(join, tiles_of(left, right), threads=default_threads()):
-        tally.n_right += n_used
-        tally.n_left += len(tile.to)
-        tally.n_pairs += int(np.count_nonzero(tile.to >= 0))
-        tally.add_distances(tile.distance, tile.to >= 0)
-        if len(tile.to):
+    for tile, n_partners in ordered(join, tiles_of(left, right), threads=default_threads()):
+        has_partner = tile.partner_index >= 0
+        tally.n_right += n_partners
+        tally.n_left += len(has_partner)
+        tally.n_pairs += int(np.count_nonzero(has_partner))
+        tally.add_distances(tile.distance, has_partner)
+        if len(has_partner):
             yield tile
 
 
@@ -432,12 +497,24 @@ def nearest_of(
     bound: float,
     margin: float = 0.0,
 ) -> tuple[Columns, F64, I64, Any]:
-    """Return the points of a cloud around a box, and the nearest of them to every point of ours.
+    """Find the nearest point of a cloud for every one of n points.
+
+    Parameters
+    ----------
+    points : dict of (n,) arrays
+        At most ``margin`` outside the box.
+    cloud : Cloud
+    box : tuple
+    bound : float
+        Largest distance of a nearest point [m].
+    margin : float
+        [m].
 
     Returns
     -------
     tuple
-        The points; distance (n,), infinite beyond ``bound``; index (n,) of the nearest; their tree.
+        Points of the cloud around the box; distance (n,) [m], infinite beyond ``bound``; index (n,)
+        of the nearest one, their number if there is none; their tree, None without points.
     """
     cloud_points = cloud.read(box, margin + bound)
     n = len(points["x"])
@@ -446,21 +523,21 @@ def nearest_of(
     # coordinates of a projection are millions of metres: the tree works beside the origin
     origin = np.array([cloud_points[axis][0] for axis in AXES])
     tree = tree_of(xyz_of(cloud_points) - origin)
-    timed = TIME in points and TIME in cloud_points
-    k = min(_TIES, len(cloud_points["x"])) if timed else 1
-    limit = float(np.nextafter(bound, math.inf))  # it is exclusive
-    distance, neighbours = tree.query(
-        xyz_of(points) - origin, [*range(1, k + 1)], distance_upper_bound=limit
+    have_times = TIME in points and TIME in cloud_points
+    k = min(_MAX_TIED, len(cloud_points["x"])) if have_times else 1
+    exclusive_bound = float(np.nextafter(bound, math.inf))
+    distance, neighbours = tree.query(  # (n, k) each
+        xyz_of(points) - origin, [*range(1, k + 1)], distance_upper_bound=exclusive_bound
     )
-    best = np.zeros(n, np.int64)
-    if timed:
-        # of several as near, the one of the nearest time
-        time_difference = np.abs(
-            np.append(cloud_points[TIME], np.nan)[neighbours] - points[TIME][:, None]
-        )
-        equal = (distance == distance[:, :1]) & np.isfinite(time_difference)
-        best = np.argmin(np.where(equal, time_difference, np.inf), axis=1)
-    return cloud_points, distance[:, 0], neighbours[np.arange(n), best], tree
+    nearest = neighbours[:, 0]
+    if have_times:
+        # among equally near neighbours, the nearest in time; the added NaN is for no neighbour
+        cloud_time_s = np.append(cloud_points[TIME], np.nan)
+        time_difference_s = np.abs(cloud_time_s[neighbours] - points[TIME][:, None])
+        is_tied = (distance == distance[:, :1]) & np.isfinite(time_difference_s)
+        chosen = np.argmin(np.where(is_tied, time_difference_s, np.inf), axis=1)
+        nearest = neighbours[np.arange(n), chosen]
+    return cloud_points, distance[:, 0], nearest, tree
 
 
 def _inside(columns: Columns, box: Box) -> Mask:

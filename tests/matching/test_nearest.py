@@ -46,7 +46,9 @@ def test_every_point_comes_once_with_its_nearest_one(
     nearest = np.full(n, -2)
     for item in nearest_join(cloud(left), cloud(right), tolerance, tally):
         assert np.all(nearest[item.left["id"]] == -2)
-        nearest[item.left["id"]] = np.where(item.to >= 0, item.right["id"][item.to], -1)
+        nearest[item.left["id"]] = np.where(
+            item.partner_index >= 0, item.right["id"][item.partner_index], -1
+        )
     apart = np.linalg.norm(left[:, None] - right[None], axis=2)
     expected = np.where(apart.min(axis=1) <= tolerance, apart.argmin(axis=1), -1)
     np.testing.assert_array_equal(nearest, expected)
@@ -71,7 +73,7 @@ def test_of_points_as_near_the_one_of_the_nearest_time_is_taken() -> None:
     for seconds, expected in (([1.0, 5.0, 9.0], 1), ([5.0, 1.0, 9.0], 0), ([1.0, 1.0, 5.0], 2)):
         clouds = cloud(here, np.array([5.0])), cloud(right, np.array(seconds))
         (item,) = nearest_join(*clouds, 0.5, JoinTally())
-        assert item.right["id"][item.to].tolist() == [expected]
+        assert item.right["id"][item.partner_index].tolist() == [expected]
 
 
 @pytest.mark.parametrize(
@@ -155,7 +157,8 @@ def test_points_far_apart_and_any_tolerance_take_no_memory(tolerance: float) -> 
     far = np.array([[0.0, 0.0, 0.0], [9e8, 9e8, 0.0]])
     tally = JoinTally()
     pairs = [
-        item.to.tolist() for item in nearest_join(cloud(far), cloud(far[::-1]), tolerance, tally)
+        item.partner_index.tolist()
+        for item in nearest_join(cloud(far), cloud(far[::-1]), tolerance, tally)
     ]
     assert tally.n_pairs == 2
     assert sum(map(len, pairs)) == 2

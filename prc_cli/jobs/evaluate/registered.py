@@ -218,7 +218,7 @@ class Registered:
 
     def _compared(self, tile: Nearest, plan: Plan, third: Cloud | None) -> Iterator[Compared]:
         """Yield the shots of a tile that are scored."""
-        partner = tile.to >= 0
+        partner = tile.partner_index >= 0
         # shots without partner where the reference has points, or in the area of the options
         covered = np.zeros(len(partner), np.bool_)
         xy = [tile.left[axis][~partner] for axis in "xy"]
@@ -228,7 +228,7 @@ class Registered:
             chosen = partner | (covered & ~(tile.sparse & self._is_thinned))
             self._n_left_out += int(np.count_nonzero(covered & ~chosen))
         shots = {name: values[chosen] for name, values in tile.left.items()}
-        points_at = tile.to[chosen]
+        points_at = tile.partner_index[chosen]
         sparse = tile.sparse[chosen]
         distance = tile.distance[chosen]
         codes = np.zeros(len(points_at), np.int64)

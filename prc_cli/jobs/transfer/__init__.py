@@ -361,8 +361,8 @@ def _partners(
     if shift is not None:
         sides.notices.append(f"the registered points are shifted {shift_text(shift)}")
     for nearest in nearest_join(points, labels, sides.tolerance, tally):
-        points_at = np.flatnonzero(nearest.to >= 0)
-        yield Joined(nearest.left, nearest.right, points_at, nearest.to[points_at])
+        points_at = np.flatnonzero(nearest.partner_index >= 0)
+        yield Joined(nearest.left, nearest.right, points_at, nearest.partner_index[points_at])
 
 
 def _cloud(side: KeyedSource, carried: tuple[str, ...], stack: ExitStack) -> Cloud:
