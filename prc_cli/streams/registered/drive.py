@@ -47,16 +47,16 @@ MOST_PASSES = 256
 LEAST_PASS_POINTS = 2000
 """Passes of fewer points are not placed."""
 SAMPLE_BLOCKS = 96
-"""Blocks of consecutive points that the rate of turns is found in."""
+"""Blocks of :data:`BLOCK_POINTS` consecutive points, in which the rate of turns is found."""
 BLOCK_POINTS = 1 << 14
 CONTIGUOUS_POINTS = 1 << 20
-"""Consecutive points in which the rate is refined."""
+"""Consecutive points of the longest pass, in which the rate is refined."""
 POINTS_PER_KNOT = 320
 """Points that are kept between two knots, about."""
 NEAR_DOWN_RAD = math.radians(15.0)
 """Shots within this angle of straight down give the height of the scanner [rad]."""
 SAME_STEP = 1e-4
-"""Scans whose shots in a turn differ by less have the same columns."""
+"""Scans whose shots per turn differ by a smaller share have the same columns."""
 SAME_START_RAD = 0.02
 """Arcs of one scanner begin within this of each other in all passes: the platform rolls [rad]."""
 PASS = "pass"
@@ -185,7 +185,7 @@ def reconstruct(
     split
         Dimension with the number of the scanner.
     places
-        The path, if it is given: then only rates and frames are found.
+        Known path, as positions at given times; None = the path is found from the points.
 
     Raises
     ------
@@ -195,18 +195,21 @@ def reconstruct(
     scanners: list[ScannerPoints] = []
     passes = _Passes()
     for number, points in sorted(spools.items()):
-        scanners.append(
-            _reconstruct_scanner(path, points, passes, number if len(spools) > 1 else 0, places)
-        )
+        scanner = number if len(spools) > 1 else 0
+        scanners.append(_reconstruct_scanner(path, points, passes, scanner, places))
     if len(passes.scans) > MOST_PASSES:
         raise too_many_passes(path, len(passes.scans), MOST_PASSES)
-    findings = judge(
-        path, passes.figures, passes.n_unplaced, sum(len(spool) for spool in spools.values())
+    n_points = sum(len(spool) for spool in spools.values())
+    findings = judge(path, passes.figures, passes.n_unplaced, n_points)
+    return Drive(
+        scanners=tuple(scanners),
+        scans=tuple(passes.scans),
+        tracks=tuple(passes.tracks),
+        figures=tuple(passes.figures),
+        findings=findings,
+        n_unplaced=passes.n_unplaced,
+        split=split,
     )
-    scans = tuple(passes.scans)
-    tracks = tuple(passes.tracks)
-    figures = tuple(passes.figures)
-    return Drive(tuple(scanners), scans, tracks, figures, findings, passes.n_unplaced, split)
 
 
 @dataclass(slots=True)
@@ -232,10 +235,10 @@ class _Rates:
     clock: Clock
 
 
-def _rates(
+def _find_rates(
     path: str,
     points: Spool,
-    longest: slice,
+    longest_pass: slice,
     places: Places | None,
 ) -> _Rates:
     rotation = None
@@ -243,14 +246,15 @@ def _rates(
         rotation = find_rotation(*sample(points))
         if rotation is None or not rotation.is_possible:
             raise no_rotation(path, rotation)
-    part = points.read(longest.start, min(longest.stop, longest.start + CONTIGUOUS_POINTS))
-    clock = read_clock(part["time"])
+    stop = min(longest_pass.stop, longest_pass.start + CONTIGUOUS_POINTS)
+    records = points.read(longest_pass.start, stop)
+    clock = read_clock(records["time"])
     if clock is None:
         raise no_clock(path)
     if rotation is not None:
-        return _Rates(find_turning(part["time"], coordinates(part), rotation), clock)
+        return _Rates(find_turning(records["time"], coordinates(records), rotation), clock)
     assert places is not None
-    turning = turning_along(part["time"], coordinates(part), places)
+    turning = turning_along(records["time"], coordinates(records), places)
     if turning is None:
         raise no_rotation(path, None)
     return _Rates(turning, clock)
@@ -259,59 +263,60 @@ def _rates(
 def _reconstruct_scanner(
     path: str,
     points: Spool,
-    reconstructed: _Passes,
-    number: int,
+    passes: _Passes,
+    scanner: int,
     places: Places | None,
 ) -> ScannerPoints:
+    """Find the path and the cells of one scanner, and add its passes to ``passes``."""
     cells = Spool(CELL)
-    if len(points) < LEAST_PASS_POINTS and number > 0:
+    if len(points) < LEAST_PASS_POINTS and scanner > 0:
         # stray points with the number of another scanner
-        reconstructed.n_unplaced += len(points)
-        _leave_out(points, cells, slice(0, len(points)))
+        passes.n_unplaced += len(points)
+        _append_empty_cells(points, cells, slice(0, len(points)))
         return ScannerPoints(points, cells)
-    passes = find_passes(points)
-    longest = max(passes, key=lambda records: records.stop - records.start)
-    rates = _rates(path, points, longest, places)
-    n_before = len(reconstructed.scans)
-    for part in passes:
+    spans = find_passes(points)
+    longest_pass = max(spans, key=lambda span: span.stop - span.start)
+    rates = _find_rates(path, points, longest_pass, places)
+    n_before = len(passes.scans)
+    for span in spans:
         track = None
-        if part.stop - part.start >= LEAST_PASS_POINTS:
-            pieces = _thinned(points, part, rates.turning)
-            duration_s = _duration(points, part)
+        if span.stop - span.start >= LEAST_PASS_POINTS:
+            pieces = _thinned(points, span, rates.turning)
+            duration_s = _duration(points, span)
             if places is None:
                 track = fit_track(pieces, rates.turning, duration_s)
             else:
                 track = track_along(pieces, rates.turning, duration_s, places)
         if track is None:
-            reconstructed.n_unplaced += part.stop - part.start
-            _leave_out(points, cells, part)
+            passes.n_unplaced += span.stop - span.start
+            _append_empty_cells(points, cells, span)
             continue
-        scan = _scan_of(points, part, track, rates)
-        counts = _place(points, cells, part, scan, len(reconstructed.scans))
+        scan = _scan_of(points, span, track, rates)
+        counts = _append_cells_of_pass(points, cells, span, scan, len(passes.scans))
         if rates.turning.is_arc:
-            # times do not show the end of an arc, its last shot does
+            # times do not show how long an arc is: its last column with a point ends the line
             scan = replace(scan, points_per_line=min(counts.last_column + 1, scan.points_per_line))
-        reconstructed.add(scan, track, replace(figures_of(track, scan, counts), scanner=number))
-    if len(reconstructed.scans) == n_before:
+        passes.add(scan, track, replace(figures_of(track, scan, counts), scanner=scanner))
+    if len(passes.scans) == n_before:
         raise no_stations(path, rates.turning)
     return ScannerPoints(points, cells)
 
 
 def _scan_of(
     points: Spool,
-    part: slice,
+    span: slice,
     track: Track,
     rates: _Rates,
 ) -> Scan:
-    # columns follow from the times, if these are fine enough
     turning = rates.turning
     clock = rates.clock
-    first = points.read(part.start, min(part.stop, part.start + BLOCK_POINTS))
-    fine = make_scan(
+    by_time = make_scan(
         track.knots, turning, clock.shots_per_turn(turning, coarse=False), by_bearing=False
     )
-    if not are_shots_of_one_time(fine, first["time"], coordinates(first)):
-        return fine
+    first = points.read(span.start, min(span.stop, span.start + BLOCK_POINTS))
+    if not are_shots_of_one_time(by_time, first["time"], coordinates(first)):
+        return by_time
+    # times are too coarse: several shots share one, and only their bearings give the columns
     return make_scan(
         track.knots, turning, clock.shots_per_turn(turning, coarse=True), by_bearing=True
     )
@@ -349,83 +354,84 @@ def find_passes(points: Spool) -> list[slice]:
     return [slice(start, stop) for start, stop in pairwise(borders) if stop > start]
 
 
-def _thinned(points: Spool, part: slice, turning: Turning) -> PassPieces:
-    # every n-th point, so that enough lie between two knots
-    between = (
-        (part.stop - part.start) / _duration(points, part) * max(1.0 / turning.line_hz, KNOT_S)
-    )
-    every = max(int(between / POINTS_PER_KNOT), 1)
+def _thinned(points: Spool, span: slice, turning: Turning) -> PassPieces:
+    """Return pieces with every n-th point of a pass, about :data:`POINTS_PER_KNOT` a knot."""
+    points_per_s = (span.stop - span.start) / _duration(points, span)
+    points_per_knot = points_per_s * max(1.0 / turning.line_hz, KNOT_S)
+    step = max(int(points_per_knot / POINTS_PER_KNOT), 1)
 
     def pieces() -> Iterator[tuple[F64, F64]]:
-        skip = 0
-        for records in points.chunks(part.start, part.stop):
-            chosen = records[skip::every]
-            skip = (skip - len(records)) % every
-            if len(chosen):
-                yield np.ascontiguousarray(chosen["time"]), coordinates(chosen)
+        n_skipped = 0  # at the start of a chunk
+        for records in points.chunks(span.start, span.stop):
+            kept = records[n_skipped::step]
+            n_skipped = (n_skipped - len(records)) % step
+            if len(kept):
+                yield np.ascontiguousarray(kept["time"]), coordinates(kept)
 
     return pieces
 
 
-def _duration(points: Spool, part: slice) -> float:
-    first, last = (float(points.read(i, i + 1)["time"][0]) for i in (part.start, part.stop - 1))
+def _duration(points: Spool, span: slice) -> float:
+    first, last = (float(points.read(i, i + 1)["time"][0]) for i in (span.start, span.stop - 1))
     return max(last - first, 1e-3)
 
 
-def _leave_out(points: Spool, cells: Spool, part: slice) -> None:
-    for records in points.chunks(part.start, part.stop):
+def _append_empty_cells(points: Spool, cells: Spool, span: slice) -> None:
+    """Append a cell of column -1 for every point: the point has no cell."""
+    for records in points.chunks(span.start, span.stop):
         empty = np.zeros(len(records), CELL)
         empty["column"] = -1
         cells.append(empty)
 
 
-def _place(
+def _append_cells_of_pass(
     points: Spool,
     cells: Spool,
-    part: slice,
+    span: slice,
     scan: Scan,
-    number: int,
+    pass_number: int,
 ) -> CellCounts:
     counts = CellCounts()
     waiting = np.empty(0, points.dtype)
-    for records in points.chunks(part.start, part.stop):
+    for records in points.chunks(span.start, span.stop):
         records = np.concatenate([waiting, records])
         line = np.floor(scan.phase(records["time"])).astype(np.int64)
-        # columns are found in whole lines
-        cut = int(np.searchsorted(line, line[-1]))
-        if cut:
-            _put(cells, records[:cut], scan, number, counts)
-        waiting = records[cut:]
-    _put(cells, waiting, scan, number, counts)
+        # the last line may continue in the next chunk, and columns need complete lines
+        n_complete = int(np.searchsorted(line, line[-1]))
+        if n_complete:
+            _append_cells_of_lines(cells, records[:n_complete], scan, pass_number, counts)
+        waiting = records[n_complete:]
+    _append_cells_of_lines(cells, waiting, scan, pass_number, counts)
     return counts
 
 
-def _put(
+def _append_cells_of_lines(
     cells: Spool,
     records: NDArray[np.void],
     scan: Scan,
-    number: int,
+    pass_number: int,
     counts: CellCounts,
 ) -> None:
     cell = scan.cells(records["time"], coordinates(records))
-    row = np.empty(len(records), CELL)
-    row["scan_line"] = cell.line
-    row["column"] = cell.column
-    row["range"] = cell.range_m
-    row[PASS] = number
-    row["angle"] = scan.angle_start_rad + scan.step_rad * cell.column
-    row["return_number"], row["number_of_returns"] = returns_of(
+    rows = np.empty(len(records), CELL)
+    rows["scan_line"] = cell.line
+    rows["column"] = cell.column
+    rows["range"] = cell.range_m
+    rows[PASS] = pass_number
+    rows["angle"] = scan.angle_start_rad + scan.step_rad * cell.column
+    rows["return_number"], rows["number_of_returns"] = returns_of(
         records, cell.range_m, by_time=not scan.by_bearing
     )
-    cells.append(row)
+    cells.append(rows)
     counts.add_cells(cell.line, cell.column, cell.range_m)
     counts.add_times(records["time"])
-    counts.add_heights(_heights_above(records, cell.column, scan))
+    counts.add_heights(_scanner_heights(records, cell.column, scan))
 
 
-def _heights_above(records: NDArray[np.void], column: I64, scan: Scan) -> F64:
+def _scanner_heights(records: NDArray[np.void], column: I64, scan: Scan) -> F64:
+    """Return the height of the scanner above every point nearly below it [m]."""
     angle = scan.angle_start_rad + column * scan.step_rad
-    beside = np.abs(np.remainder(angle + math.pi, 2.0 * math.pi) - math.pi)
-    below = records[beside < NEAR_DOWN_RAD]
-    height: F64 = scan.stations(below["time"])[:, 2] - below["z"]
+    from_down = np.abs(np.remainder(angle + math.pi, 2.0 * math.pi) - math.pi)
+    points_below = records[from_down < NEAR_DOWN_RAD]
+    height: F64 = scan.stations(points_below["time"])[:, 2] - points_below["z"]
     return height
