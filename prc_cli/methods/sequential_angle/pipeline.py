@@ -7,6 +7,10 @@ decided. Labels do not depend on how the stream was cut into blocks.
 
 :func:`classify_block` is the whole method. Two of its steps (:func:`follow_ground` and
 :func:`decide_curbs`) pass a state from block to block, the others need only their own block.
+``turn.hand_on(part, step)`` calls such a step with the state that the previous block left; the step
+returns its result and the state for the next block.
+
+A row is one half-line: one side of the scan plane in one scan line. R rows of n beams.
 """
 
 from __future__ import annotations
@@ -75,6 +79,7 @@ class _SequentialAngleTable(MethodParams):
 
 
 if TYPE_CHECKING:
+    # the fields of the table are made at run time
     SequentialAngleParams: TypeAlias = Any
 else:
     SequentialAngleParams = table_of(
@@ -83,8 +88,8 @@ else:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Within:
-    """Results that depend on single half-lines only; R rows of n beams."""
+class LineResults:
+    """Results that depend on single half-lines only."""
 
     lines: VerticalLines
     signed_deg: F32
@@ -101,10 +106,10 @@ class Within:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OnGround:
+class RowsWithGround:
     """Rows whose ground is known."""
 
-    rows: Within
+    rows: LineResults
     ground: Mask
     """(R, n) bool, G."""
     height_m: F32
@@ -112,8 +117,8 @@ class OnGround:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Undecided:
-    """Rows whose curbs are still open."""
+class RowsBeforeCurbs:
+    """Rows whose cars are known and whose curbs may not be."""
 
     surface: U8
     """(R, n) uint8, coarse layer."""
@@ -141,7 +146,7 @@ class Undecided:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WithCars:
+class RowsWithCars:
     """Rows whose cars and possible curbs are known."""
 
     lines: VerticalLines
@@ -149,29 +154,29 @@ class WithCars:
     """(R, n) float32, signed angle [deg]."""
     possible_curb: I32
     """(R,) int32, beam of the possible curb point, -1 = none."""
-    undecided: Undecided
+    before_curbs: RowsBeforeCurbs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GroundSoFar:
-    """State of the ground estimate after the lines so far."""
+class GroundQueue:
+    """State of the ground estimate between two blocks."""
 
-    waiting: tuple[Within, ...]
+    waiting: tuple[LineResults, ...]
     """Rows waiting for the first ground height, in order."""
     heights_m: F64
     """(waiting rows,) float64, their z_i [m], NaN = none."""
-    n_most: int
+    max_rows: int
     """Largest number of waiting rows."""
-    known: GroundState | None
-    """None until the ground height is known."""
+    estimate: GroundState | None
+    """None until the first ground height is known; then no row waits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CurbsSoFar:
-    """State of the curb search after the lines so far."""
+class CurbQueue:
+    """State of the curb search between two blocks."""
 
     regions: CurbState
-    undecided: tuple[Undecided, ...]
+    waiting: tuple[RowsBeforeCurbs, ...]
     """Rows waiting for their curbs, in order."""
 
 
@@ -179,15 +184,16 @@ class CurbsSoFar:
 class SequentialAngleState:
     """State handed to the next block; size limited by M, ``start_lines`` and ``curb.max_lines``."""
 
-    ground: GroundSoFar
-    curbs: CurbsSoFar
+    ground: GroundQueue
+    curbs: CurbQueue
     waiting: tuple[ScanBlock, ...] = ()
     """Lines waiting for their labels, in order."""
 
 
-GROUND = Part[GroundSoFar]("ground")
-CURBS = Part[CurbsSoFar]("curbs")
+GROUND = Part[GroundQueue]("ground")
+CURBS = Part[CurbQueue]("curbs")
 WAITING = Part[tuple[ScanBlock, ...]]("waiting")
+"""Fields of :class:`SequentialAngleState`; each is handed on by a step of its own."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,12 +212,12 @@ class Beams:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Final:
+class FinalLines:
     """Lines that became final, in order; may be empty."""
 
     labels: U8
     """(lines, M) uint8, :class:`prc_cli.core.classes.Label`."""
-    rows: Sequence[Undecided]
+    rows: Sequence[RowsBeforeCurbs]
     """Intermediate results, for :func:`stages_in_columns`."""
 
 
@@ -242,7 +248,7 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
 
     @property
     def gives(self) -> frozenset[Label]:
-        """All classes but those that only the other methods have."""
+        """All classes except noise, building and stem, which other methods have."""
         return frozenset(Label) - {Label.NOISE, Label.BUILDING, Label.STEM}
 
     def scanner(self, first: ScanBlock) -> Beams:
@@ -272,25 +278,26 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
             stages=wanted.stages,
         )
         stages = stages_in_columns(final.rows, final.labels, scanner) if wanted.stages else None
-        lines = turn.hand_on(
-            WAITING, lambda before: _split_lines((*before, block), len(final.labels))
+        # final labels belong to the oldest lines, which may have come with previous blocks
+        final_blocks = turn.hand_on(
+            WAITING, lambda waiting: _split_lines((*waiting, block), len(final.labels))
         )
-        parts = []
-        start = 0
-        for part in lines:
-            rows = slice(start, start + part.n_lines)
-            start = rows.stop
-            part_stages = None if stages is None else stages.of_lines(rows)
-            labelled = _labelled(part, final.labels[rows], part_stages, self.thresholds)
-            if part_stages is not None:
-                labelled = replace(labelled, above_m=_above(part, part_stages, scanner))
+        labelled_blocks = []
+        first_line = 0
+        for final_block in final_blocks:
+            lines = slice(first_line, first_line + final_block.n_lines)
+            first_line = lines.stop
+            labels = final.labels[lines]
+            block_stages = None if stages is None else stages.of_lines(lines)
+            labelled = _labelled(final_block, labels, block_stages, self.thresholds)
+            if block_stages is not None:
+                labelled = replace(labelled, above_m=_above(final_block, block_stages, scanner))
             if wanted.reasons:
-                reasons = _reasons(labelled.labels, final.labels[rows])
-                labelled = replace(labelled, reasons=reasons)
+                labelled = replace(labelled, reasons=_reasons(labelled.labels, labels))
             if wanted.measures:
                 labelled = replace(labelled, measures=measures_of(labelled))
-            parts.append(labelled)
-        return parts
+            labelled_blocks.append(labelled)
+        return labelled_blocks
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
         """Report steps without result, and why."""
@@ -311,9 +318,9 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
 
 
 def _reasons(labels: U8, method_labels: U8) -> U8:
-    """Return the rules of labels.
+    """Return the rule behind every label of :func:`_labelled`, (lines, M) uint8.
 
-    Returns beyond the reach are missing in ``method_labels``.
+    It differs from ``method_labels`` in the returns beyond the reach, which the method does not see.
     """
     reasons = reasons_of(labels, LABEL_REASONS["sequential-angle"])
     reasons[labels != method_labels] = Reason.BEYOND_REACH
@@ -340,8 +347,8 @@ def initial_state(beams: Beams, thresholds: SequentialAngleThresholds) -> Sequen
     sides = beams.sides
     n_lines = max(1, min(thresholds.start_lines, thresholds.start_shots // len(beams.beam_rad)))
     regions = CurbState.start(sides.n_sides, sides.columns.shape[1], thresholds.curb)
-    ground_so_far = GroundSoFar((), np.empty(0), n_lines * sides.n_sides, None)
-    return SequentialAngleState(ground_so_far, CurbsSoFar(regions, ()))
+    ground_queue = GroundQueue((), np.empty(0), max_rows=n_lines * sides.n_sides, estimate=None)
+    return SequentialAngleState(ground_queue, CurbQueue(regions, ()))
 
 
 def classify_block(
@@ -353,18 +360,21 @@ def classify_block(
     *,
     last: bool = False,
     stages: bool = False,
-) -> Final:
+) -> FinalLines:
     """Add the next lines of a stream, any number, and label those that become final.
 
     ``range_m`` (lines, M) float32; ``xyz_m`` (lines, M, 3) float32 or None.
     """
     rows = within_lines(range_m, xyz_m, beams, thresholds)
-    ready = turn.hand_on(GROUND, lambda before: follow_ground(rows, before, thresholds, last=last))
-    with_cars = [find_cars(part, thresholds, stages=stages) for part in ready]
-    done, curb = turn.hand_on(
-        CURBS, lambda before: decide_curbs(with_cars, before, thresholds, last=last)
+    # rows come out of both steps later than they go in, and some of previous blocks with them
+    with_ground = turn.hand_on(
+        GROUND, lambda state: follow_ground(rows, state, thresholds, last=last)
     )
-    return Final(in_columns(done, curb, beams, thresholds.curb), done)
+    with_cars = [find_cars(part, thresholds, stages=stages) for part in with_ground]
+    final_rows, curb = turn.hand_on(
+        CURBS, lambda state: decide_curbs(with_cars, state, thresholds, last=last)
+    )
+    return FinalLines(in_columns(final_rows, curb, beams, thresholds.curb), final_rows)
 
 
 def _above(block: ScanBlock, stages: StageLabels, beams: Beams) -> F32:
@@ -397,20 +407,19 @@ def _labelled(
     # ranges beyond the scanner's reach are missing to the method, but they are returns
     labels, n_beyond = kernels.mark_beyond(block.range_m, labels)
     block = replace(block, next_m=None, tally=block.tally + ReadTally(n_beyond=n_beyond))
-    # which lines become final together depends on the blocks: only the shot's own line may be used
     further = block.extra
-    limit_m = thresholds.extra_return_m
-    extra = label_extra_returns(
+    extra_labels = label_extra_returns(
         block.range_m,
         labels,
         further.line,
         further.column,
         further.range_m,
-        limit_m,
-        0.0,
+        zeta_p=thresholds.extra_return_m,
+        # 0 = no adjacent lines: which of them are final, too, depends on the cut into blocks
+        zeta_s=0.0,
         alone=Label.UNCLASSIFIED,
     )
-    return LabelledBlock(block, labels, extra, stages=stages)
+    return LabelledBlock(block, labels, extra_labels, stages=stages)
 
 
 @stage("angles")
@@ -419,7 +428,7 @@ def within_lines(
     xyz_m: F32 | None,
     beams: Beams,
     thresholds: SequentialAngleThresholds,
-) -> Within:
+) -> LineResults:
     """Run the stages that need only one half-line: coarse layer, car layer, potential ground."""
     lines = vertical_lines(range_m, xyz_m, beams.beam_rad, beams.sides, thresholds.max_range_m)
     angles = signed_angles(lines, thresholds.angles)
@@ -428,7 +437,7 @@ def within_lines(
     dense = dense_vegetation(angle_differences(angles.signed_deg), thresholds.dense_vegetation)
     car_layer = car_surface(angles.signed_deg, dense, lines, thresholds.coarse.surfaces)
     line_angle_deg = line_angles(lines, angles.ahead, surface)
-    return Within(
+    return LineResults(
         lines=lines,
         signed_deg=angles.signed_deg,
         ahead=angles.ahead,
@@ -441,57 +450,63 @@ def within_lines(
 
 @stage("ground")
 def follow_ground(
-    rows: Within,
-    state: GroundSoFar,
+    rows: LineResults,
+    state: GroundQueue,
     thresholds: SequentialAngleThresholds,
     *,
     last: bool,
-) -> tuple[list[OnGround], GroundSoFar]:
+) -> tuple[list[RowsWithGround], GroundQueue]:
     """Find the ground of the next rows, in order (sec. 5).
 
     The first rows wait until its height is known.
     """
-    ready, state = _start_ground(rows, state, thresholds.ground, last=last)
-    on_ground = []
-    for part in ready:
-        assert state.known is not None
-        mask, height_m, known = ground(
+    parts, state = _start_ground(rows, state, thresholds.ground, last=last)
+    with_ground = []
+    for part in parts:
+        assert state.estimate is not None
+        is_ground, height_m, estimate = ground(
             part.lines,
             part.surface,
             part.line_angle_deg,
             part.ahead,
             part.potential,
-            state.known,
+            state.estimate,
             thresholds.ground,
         )
-        state = replace(state, known=known)
-        on_ground.append(OnGround(part, mask, height_m))
-    return on_ground, state
+        state = replace(state, estimate=estimate)
+        with_ground.append(RowsWithGround(part, is_ground, height_m))
+    return with_ground, state
 
 
 def _start_ground(
-    rows: Within,
-    state: GroundSoFar,
+    rows: LineResults,
+    state: GroundQueue,
     thresholds: GroundThresholds,
     *,
     last: bool,
-) -> tuple[list[Within], GroundSoFar]:
-    """Let rows wait until the first ground height is known (sec. 5, part b)."""
-    if state.known is not None:
+) -> tuple[list[LineResults], GroundQueue]:
+    """Let rows wait until the first ground height is known (sec. 5, part b).
+
+    Return the rows that need not wait any more.
+    """
+    if state.estimate is not None:
         return [rows], state
     waiting = (*state.waiting, rows)
-    heights = np.concatenate([state.heights_m, rows.potential.height_m])
-    enough = int(np.count_nonzero(np.isfinite(heights[: state.n_most]))) >= thresholds.start_heights
-    if not enough and len(heights) < state.n_most and not last:
-        return [], replace(state, waiting=waiting, heights_m=heights)
-    known = initial_ground(heights[: state.n_most], thresholds, rows.lines.n_sides)
-    return list(waiting), replace(state, waiting=(), heights_m=np.empty(0), known=known)
+    heights_m = np.concatenate([state.heights_m, rows.potential.height_m])
+    # rows beyond the limit do not count, so that the labels do not depend on the cut into blocks
+    first_heights_m = heights_m[: state.max_rows]
+    n_heights = int(np.count_nonzero(np.isfinite(first_heights_m)))
+    must_wait = n_heights < thresholds.start_heights and len(heights_m) < state.max_rows
+    if must_wait and not last:
+        return [], replace(state, waiting=waiting, heights_m=heights_m)
+    estimate = initial_ground(first_heights_m, thresholds, rows.lines.n_sides)
+    return list(waiting), replace(state, waiting=(), heights_m=np.empty(0), estimate=estimate)
 
 
 @stage("cars")
 def find_cars(
-    part: OnGround, thresholds: SequentialAngleThresholds, *, stages: bool = False
-) -> WithCars:
+    part: RowsWithGround, thresholds: SequentialAngleThresholds, *, stages: bool = False
+) -> RowsWithCars:
     """Find cars and possible curb points, which need only the ground height."""
     rows = part.rows
     z_g = part.height_m
@@ -500,53 +515,54 @@ def find_cars(
     possible = possible_curbs(lines, surface, part.ground, z_g, thresholds.curb)
     cars_found = cars(lines, surface, rows.car_surface, rows.signed_deg, z_g, thresholds.car)
     search = car_search(cars_found, lines) if stages else CarSearch.none(len(z_g))
-    undecided = Undecided(
-        surface,
-        rows.car_surface,
-        part.ground,
-        cars_found.car,
-        lines.horizontal_m,
-        lines.xyz_m,
-        z_g,
-        search.trigger,
-        search.interval,
-        search.test,
+    before_curbs = RowsBeforeCurbs(
+        surface=surface,
+        car_surface=rows.car_surface,
+        ground=part.ground,
+        car=cars_found.car,
+        horizontal_m=lines.horizontal_m,
+        xyz_m=lines.xyz_m,
+        ground_height_m=z_g,
+        trigger=search.trigger,
+        car_interval=search.interval,
+        car_test=search.test,
     )
-    return WithCars(lines, rows.signed_deg, possible, undecided)
+    return RowsWithCars(lines, rows.signed_deg, possible, before_curbs)
 
 
 @stage("curbs")
 def decide_curbs(
-    parts: Sequence[WithCars],
-    state: CurbsSoFar,
+    parts: Sequence[RowsWithCars],
+    state: CurbQueue,
     thresholds: SequentialAngleThresholds,
     *,
     last: bool,
-) -> tuple[tuple[list[Undecided], list[Mask]], CurbsSoFar]:
+) -> tuple[tuple[list[RowsBeforeCurbs], list[Mask]], CurbQueue]:
     """Verify curbs across the next rows, in order (sec. 6).
 
-    Return the rows that became final, and their curbs.
+    Return the rows that became final with their curbs, (rows, n) bool in pieces, and the state.
+    The pieces of rows and of curbs have different lengths.
     """
-    done: list[Undecided] = []
-    masks: list[Mask] = []
+    final_rows: list[RowsBeforeCurbs] = []
+    final_curbs: list[Mask] = []
     for number, part in enumerate(parts):
         curb, regions = curbs(
             part.lines,
-            part.undecided.surface,
+            part.before_curbs.surface,
             part.signed_deg,
             part.possible_curb,
             state.regions,
             thresholds.curb,
             last=last and number == len(parts) - 1,
         )
-        final, open_rows = _split((*state.undecided, part.undecided), len(curb))
-        state = CurbsSoFar(regions, open_rows)
-        done += final
-        masks.append(curb)
-    return (done, masks), state
+        decided, waiting = _split((*state.waiting, part.before_curbs), len(curb))
+        state = CurbQueue(regions, waiting)
+        final_rows += decided
+        final_curbs.append(curb)
+    return (final_rows, final_curbs), state
 
 
-def combine(rows: Undecided, curb: Mask, thresholds: CurbThresholds) -> U8:
+def combine(rows: RowsBeforeCurbs, curb: Mask, thresholds: CurbThresholds) -> U8:
     """Give every beam its class; cars behind a curb go back to the coarse classification (sec. 8).
 
     ``curb`` (R, n) bool; returns (R, n) uint8.
@@ -566,37 +582,41 @@ def combine(rows: Undecided, curb: Mask, thresholds: CurbThresholds) -> U8:
 
 @stage("classes")
 def in_columns(
-    done: Sequence[Undecided],
-    curb: Sequence[Mask],
+    parts: Sequence[RowsBeforeCurbs],
+    curb_parts: Sequence[Mask],
     beams: Beams,
     thresholds: CurbThresholds,
 ) -> U8:
-    """Label final rows, and map them back to the columns of their scan lines."""
-    sides = beams.sides
+    """Label final rows, and map them back to the columns of their scan lines, (lines, M) uint8.
+
+    ``parts`` and ``curb_parts`` have the same rows, but different borders.
+    """
     m = len(beams.beam_rad)
-    if not done:
+    if not parts:
         return np.empty((0, m), np.uint8)
-    curbs_of_all = curb[0] if len(curb) == 1 else np.concatenate(curb)
-    ends = np.cumsum([len(part.surface) for part in done])
-    labels = [
-        to_columns(combine(part, curbs_of_all[end - len(part.surface) : end], thresholds), sides, m)
-        for part, end in zip(done, ends, strict=True)
-    ]
+    curb = curb_parts[0] if len(curb_parts) == 1 else np.concatenate(curb_parts)
+    labels = []
+    start = 0
+    for part in parts:
+        stop = start + len(part.surface)
+        labels.append(to_columns(combine(part, curb[start:stop], thresholds), beams.sides, m))
+        start = stop
     return labels[0] if len(labels) == 1 else np.concatenate(labels)
 
 
 @stage("stages")
-def stages_in_columns(done: Sequence[Undecided], labels: U8, beams: Beams) -> StageLabels:
+def stages_in_columns(parts: Sequence[RowsBeforeCurbs], labels: U8, beams: Beams) -> StageLabels:
     """Map the intermediate results of final rows back to the columns of their scan lines.
 
     ``labels`` (lines, M) uint8.
     """
     sides = beams.sides
     m = len(beams.beam_rad)
-    if not done:
-        none = np.empty((0, m), np.uint8)
-        return StageLabels(none, none, none.astype(np.float32), none, none.astype(np.uint16), none)
-    rows = _join(done)
+    if not parts:
+        empty = np.empty((0, m), np.uint8)
+        empty_heights = empty.astype(np.float32)
+        return StageLabels(empty, empty, empty_heights, empty, empty.astype(np.uint16), empty)
+    rows = _join(parts)
     height = np.repeat(rows.ground_height_m[:, None], rows.surface.shape[1], axis=1)
     test = to_columns(rows.car_test, sides, m)
     test[(test == CarTest.CAR) & (labels != Label.CAR)] = CarTest.BEHIND_CURB
@@ -611,10 +631,10 @@ def stages_in_columns(done: Sequence[Undecided], labels: U8, beams: Beams) -> St
 
 
 def _split(
-    parts: tuple[Undecided, ...], n_rows: int
-) -> tuple[list[Undecided], tuple[Undecided, ...]]:
+    parts: tuple[RowsBeforeCurbs, ...], n_rows: int
+) -> tuple[list[RowsBeforeCurbs], tuple[RowsBeforeCurbs, ...]]:
     """Split off the first rows of a queue."""
-    first_rows: list[Undecided] = []
+    first_rows: list[RowsBeforeCurbs] = []
     for number, part in enumerate(parts):
         n = len(part.surface)
         if n_rows < n:
@@ -626,23 +646,22 @@ def _split(
     return first_rows, ()
 
 
-def _rows_of(rows: Undecided, part: slice) -> Undecided:
+def _rows_of(rows: RowsBeforeCurbs, part: slice) -> RowsBeforeCurbs:
     values: dict[str, Any] = {
         column.name: getattr(rows, column.name)[part] for column in fields(rows)
     }
-    return Undecided(**values)
+    return RowsBeforeCurbs(**values)
 
 
-def _join(parts: Sequence[Undecided]) -> Undecided:
+def _join(parts: Sequence[RowsBeforeCurbs]) -> RowsBeforeCurbs:
     values: dict[str, Any] = {
         column.name: np.concatenate([getattr(part, column.name) for part in parts])
-        for column in fields(Undecided)
+        for column in fields(RowsBeforeCurbs)
     }
-    return Undecided(**values)
+    return RowsBeforeCurbs(**values)
 
 
 def _check_shape(range_m: F32, xyz_m: F32 | None, beams: Beams) -> None:
-
     width = len(beams.beam_rad)
     if range_m.ndim != 2 or range_m.shape[1] != width:
         problem = (
