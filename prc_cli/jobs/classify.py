@@ -98,25 +98,31 @@ class Counts(Brief):
         ``only_records`` leaves out cells and lines without a record.
         """
         block = item.block if isinstance(item, LabelledBlock) else item
-        where: Any = block.records() >= 0 if only_records else ...
-        ranges = block.range_m[where]
-        extra = block.extra.record >= 0 if only_records else ...
+        # index of the counted cells and of the counted further returns: all of them, or a mask
+        cells: Any = ...
+        further: Any = ...
+        n_lines = block.n_lines
+        if only_records:
+            cells = block.records() >= 0
+            further = block.extra.record >= 0
+            n_lines = int(cells.any(axis=1).sum())
+        ranges = block.range_m[cells]
         if isinstance(item, LabelledBlock):
             labels = (
-                count_bytes(item.labels[where])[: len(Label)]
-                + count_bytes(item.extra_labels[extra])[: len(Label)]
+                count_bytes(item.labels[cells])[: len(Label)]
+                + count_bytes(item.extra_labels[further])[: len(Label)]
             )
         else:
             labels = np.zeros(len(Label), np.int64)
             labels[Label.MISSING] = np.count_nonzero(np.isnan(ranges))
         return Counts(
-            self.n_lines + (int(where.any(axis=1).sum()) if only_records else block.n_lines),
-            self.n_shots + ranges.size,
-            self.n_far + int(np.count_nonzero(ranges > FAR_M)),
-            self.labels + labels,
-            self.tally + block.tally,
-            self.n_extra + len(block.extra.record[extra]),
-            {block.scanner: block.points_per_line, **self.scanners},
+            n_lines=self.n_lines + n_lines,
+            n_shots=self.n_shots + ranges.size,
+            n_far=self.n_far + int(np.count_nonzero(ranges > FAR_M)),
+            labels=self.labels + labels,
+            tally=self.tally + block.tally,
+            n_extra=self.n_extra + len(block.extra.record[further]),
+            scanners={block.scanner: block.points_per_line, **self.scanners},
         )
 
     @property
@@ -178,7 +184,7 @@ def _open(
     only_ranges: bool = False,
     parts: Sequence[Path] = (),
 ) -> ScanStream:
-    """Open an input: ``geometry`` adds the angles that the method does not need."""
+    """Open an input; with ``geometry`` blocks have angles even if the method needs none."""
     # without a method the input is read as for PRC, which needs the least
     params = config.classifier if config.is_decided else config.prc
     needs = params.method().needs
@@ -210,11 +216,16 @@ def open_decided(
     loading: Callable[[], AbstractContextManager[None]],
     parts: Sequence[Path] = (),
 ) -> tuple[LoadedConfig, ScanStream]:
-    """Open an input for the named method, else for the method that prc chooses."""
+    """Open an input for the named method, else for the method that prc chooses.
+
+    ``loading`` is the context in which the loops of a chosen method are loaded.
+    """
     config = loaded.config
     if not config.is_decided:
+        stream: ScanStream | None = None
         choice = choice_by_request(config, engine=engine)
         if choice is None:
+            # the choice needs the beams of the input: it is opened before the method is known
             stream = open_input(
                 path,
                 config.input,
@@ -227,10 +238,11 @@ def open_decided(
         loaded = decided_by(choice, loaded)
         with loading():
             load_classifier(loaded, engine)
-        # the stream was opened before the method, and its need of intensities, was known
-        lacks = only_ranges and loaded.config.classifier.method().needs.intensity
-        if loaded.config.needs_beams and not lacks:
+        chosen = loaded.config
+        lacks_intensity = only_ranges and chosen.classifier.method().needs.intensity
+        if stream is not None and chosen.needs_beams and not lacks_intensity:
             return loaded, stream
+        # else this stream has more or less than the method needs, and the input is opened again
     return loaded, _open(
         path, loaded.config, geometry=geometry, only_ranges=only_ranges, parts=parts
     )
@@ -271,14 +283,14 @@ def load_classifier(
 
     The first call compiles them.
     """
-    chosen = LoadedConfig.of(config).config
-    if chosen.is_decided:
-        methods = [chosen.classifier]
-    elif choice_by_request(chosen, engine=engine) is not None:
-        methods = [chosen.prc]
+    config = LoadedConfig.of(config).config
+    if config.is_decided:
+        methods = [config.classifier]
+    elif choice_by_request(config, engine=engine) is not None:
+        methods = [config.prc]
     else:
-        forest = chosen.fused.model_copy(update={"environment": "forest"})
-        methods = [*(getattr(chosen, name) for name in CHOSEN_FROM), forest]
+        forest = config.fused.model_copy(update={"environment": "forest"})
+        methods = [*(getattr(config, name) for name in CHOSEN_FROM), forest]
     with use_engine(engine):
         load_kernels(frozenset().union(*(params.method().needs.kernels for params in methods)))
 
@@ -367,28 +379,29 @@ def _classify(
     return_memory()  # must be called before any thread starts
     prepare_label_outputs(output, overwrite=overwrite, inputs=loaded.inputs(source))
     check_input(source)
-    before = file_state(source)
+    state_at_start = file_state(source)
     with timed("opening"):
-        # only a new point cloud needs times and intensities
-        makes_points = is_cloud(output)
-        only_ranges = not makes_points or (
-            suffix_of(source) in LAS_SUFFIXES and suffix_of(output) in LAS_SUFFIXES
-        )
-        is_new = makes_points and not keeps_points(source, output)
+        makes_cloud = is_cloud(output)
+        is_las_to_las = suffix_of(source) in LAS_SUFFIXES and suffix_of(output) in LAS_SUFFIXES
+        # only a cloud that is built from blocks needs times and intensities
+        only_ranges = not makes_cloud or is_las_to_las
+        is_new_cloud = makes_cloud and not keeps_points(source, output)
         loaded, opened = open_decided(
-            source, loaded, engine, geometry=is_new, only_ranges=only_ranges, loading=loading
+            source, loaded, engine, geometry=is_new_cloud, only_ranges=only_ranges, loading=loading
         )
         if suffix_of(output) == LAZ and not asked_columns(loaded.config.output):
-            opened.info.facts.check_layers()  # they are copied as they are
+            # damaged layers are copied as they are, so they are refused before any work
+            opened.info.facts.check_layers()
         needs = loaded.config.classifier.method().needs
         if loaded.config.output.confidence:
+            # raises an error if the method has no confidence
             confidence_kernels(loaded.config.classifier)
         stream = watched(opened, loaded.config.input, needs=needs, others=loaded.findings)
     with (
         FingerprintBeside(
             source, threads=threads, hashes=loaded.config.input.window is None
-        ) as beside,
-        placement(source, output, loaded, opened) if is_new else nullcontext() as place,
+        ) as fingerprint_beside,
+        placement(source, output, loaded, opened) if is_new_cloud else nullcontext() as place,
         open_writer(
             LabelOutput(
                 path=output,
@@ -407,9 +420,9 @@ def _classify(
         ) as writer,
     ):
         counts, findings, notes = write_labels(stream, writer, loaded.config, threads, progress)
-        record = run_record(stream.info, counts, loaded, beside.result())
+        record = run_record(stream.info, counts, loaded, fingerprint_beside.result())
         record = replace(record, notices=(*record.notices, *notes), engine=engine)
-        check_unchanged(source, before)
+        check_unchanged(source, state_at_start)
         with timed("finishing the output"):
             record = writer.finish(record)
     return RunSummary(output, record, counts, findings)
@@ -442,9 +455,9 @@ class Judge:
         """Label the blocks of the stream, as :func:`label_blocks`."""
         labelled = label_blocks(blocks, self._params, threads=threads, wanted=wanted)
         try:
-            for item in labelled:
-                self._result.see(item)
-                yield item
+            for block in labelled:
+                self._result.see(block)
+                yield block
         finally:
             close_items(labelled)
 
@@ -471,35 +484,39 @@ def write_labels(
     threads: int,
     progress: Progress | None,
 ) -> tuple[Counts, tuple[Finding, ...], tuple[str, ...]]:
-    """Read, classify and write in parallel; return when all threads have ended."""
+    """Read, classify and write in parallel; return when all threads have ended.
+
+    The results are the counts, the results of the checks and the notices for the user.
+    """
     counts = Counts.none()
     judge = Judge(stream, config)
 
-    def write(item: LabelledBlock) -> None:
+    def write_block(block: LabelledBlock) -> None:
         nonlocal counts
         with timed("writing"):
-            writer.add(item)
-            counts = counts.add(item)
+            writer.add(block)
+            counts = counts.add(block)
 
     with ExitStack() as stack:
         blocks = timed_items(stream.blocks(), "reading")
-        put = write
+        pass_on = write_block
         if threads > 1:
             blocks = read_ahead(blocks, depth=AHEAD)
             stack.callback(close_items, blocks)
         labelled = judge.label(blocks, threads=threads, wanted=wanted_by(config.output))
         stack.callback(close_items, labelled)
         if threads > 1:
-            put = stack.enter_context(write_behind(write, depth=AHEAD)).put
+            # a thread of its own calls write_block
+            pass_on = stack.enter_context(write_behind(write_block, depth=AHEAD)).put
         info = stream.info
-        for item in labelled:
-            put(item)
-            advance(progress, item.block, info, config.input.window)
+        for labelled_block in labelled:
+            pass_on(labelled_block)
+            advance(progress, labelled_block.block, info, config.input.window)
     findings = judge.findings()
-    missed = config.classifier.method().notices(
+    method_notices = config.classifier.method().notices(
         counts.labels, counts.tally, segments=config.output.segment_ids
     )
-    return counts, findings, (*missed, *notices(findings))
+    return counts, findings, (*method_notices, *notices(findings))
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -620,32 +637,40 @@ def classify_ranges(
         load_classifier(config, engine)
     with use_engine(engine):
         block = _block_of(ranges, config, beam_rad, xyz_m)
-        loaded, block = (
-            _decided(config, block, engine)
-            if angle_deg is None and beam_rad is not None
-            else _directed(config, block, angle_deg, engine)
-        )
+        if angle_deg is None and beam_rad is not None:
+            loaded = _choose_method(config, block, engine)
+        else:
+            loaded, block = _find_beams_and_method(config, block, angle_deg, engine)
         config = loaded.config
         needs = config.classifier.method().needs
         stream = watched(_InMemory(block), config.input, needs=needs, others=loaded.findings)
         judge = Judge(stream, config)
-        is_judged = block.range_m.size >= LEAST_SHOTS
-        blocks = iter(list(stream.blocks()) if is_judged else [block])
+        is_checked = block.range_m.size >= LEAST_SHOTS
+        # the stream is checked while it is read
+        blocks = list(stream.blocks()) if is_checked else [block]
         labelled = list(
             judge.label(
-                blocks, threads=threads_of(engine, threads), wanted=wanted_by(config.output)
+                iter(blocks), threads=threads_of(engine, threads), wanted=wanted_by(config.output)
             )
         )
-        findings = judge.findings() if is_judged else ()
+        findings = judge.findings() if is_checked else ()
     for doubt in doubts(findings):
         message = (
             f"range_m: {doubt.sentence()} (to accept it: input.accept_doubts = [{doubt.check!r}])"
         )
         warnings.warn(message, DoubtWarning, stacklevel=2)
-    labels = np.concatenate([item.labels for item in labelled])
-    more = [[getattr(item, name) for item in labelled] for name in ("confidence", "reasons")]
-    confidence, reasons = (None if parts[0] is None else np.concatenate(parts) for parts in more)
-    return ClassifiedRanges(labels, config.classes, confidence, reasons)
+    return ClassifiedRanges(
+        labels=np.concatenate([part.labels for part in labelled]),
+        classes=config.classes,
+        confidence=_concatenated([part.confidence for part in labelled]),
+        reasons=_concatenated([part.reasons for part in labelled]),
+    )
+
+
+def _concatenated(parts: Sequence[U8 | None]) -> U8 | None:
+    """Return an array that all blocks have, or None if they do not have it."""
+    arrays = [part for part in parts if part is not None]
+    return np.concatenate(arrays) if arrays else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -665,22 +690,28 @@ class _InMemory:
         yield self.block
 
 
-def _decided(config: RunConfig, block: ScanBlock, engine: Engine) -> tuple[LoadedConfig, ScanBlock]:
-    """Return a configuration that names a method; the beam directions of the image are known."""
+def _choose_method(config: RunConfig, block: ScanBlock, engine: Engine) -> LoadedConfig:
+    """Choose the method, if none is named, for an image whose beam directions are given."""
     loaded = LoadedConfig(config)
     if config.is_decided:
-        return loaded, block
+        return loaded
     choice = choice_by_request(config, engine=engine)
-    return decided_by(choice or choice_by_beams(block, iter([block])), loaded), block
+    return decided_by(choice or choice_by_beams(block, iter([block])), loaded)
 
 
 def usual_labels(config: RunConfig, info: StreamInfo) -> UsualLabels:
-    """Return the usual shares of the labels of the method in an input of this kind."""
+    """Return the usual shares of the labels of the method in an input of this kind.
+
+    A limit of 0 switches its check off.
+    """
     usual = config.classifier.method().usual
     if config.input.max_range is not None and config.input.max_range <= usual.reach_m:
+        # farther returns were removed
         usual = replace(usual, reach_m=0.0)
-    # around a tripod the view changes all the way
-    return replace(usual, vanished_share=0.0) if info.facts.has_scans else usual
+    if info.facts.has_scans:
+        # the share of ground varies in every scan of a tripod, which turns all around
+        usual = replace(usual, vanished_share=0.0)
+    return usual
 
 
 def _block_of(
@@ -704,13 +735,16 @@ def _block_of(
     )
 
 
-def _directed(
+def _find_beams_and_method(
     config: RunConfig,
     block: ScanBlock,
     angle_deg: ArrayLike | None,
     engine: Engine,
 ) -> tuple[LoadedConfig, ScanBlock]:
-    """Find the beam directions from angles, coordinates or ranges, and choose the method."""
+    """Find the beam directions from angles, coordinates or ranges, and choose the method.
+
+    Return the configuration with the method, and the block with beam directions if it needs them.
+    """
     if block.beam_rad is not None:
         raise InputError("angle_deg", "found beam_rad, too, expected one of them", "leave one out")
     if angle_deg is not None:
@@ -739,16 +773,18 @@ def _beams(beam_rad: ArrayLike, points_per_line: int) -> F64:
     if np.abs(beams).max() > 2 * np.pi:
         problem = f"found {np.abs(beams).max():g}, expected radians from -pi to pi"
         raise InputError("beam_rad", problem, "convert degrees with np.deg2rad")
-    turned: F64 = np.pi - np.remainder(np.pi - beams, 2 * np.pi)
-    step = np.diff(np.unwrap(turned))
-    step *= 1.0 if np.sign(step).sum() >= 0 else -1.0
-    # a sector that is not measured may lie within the line
-    n_back = np.count_nonzero(step < 0)
-    if n_back and step.sum() + 2 * np.pi * n_back > 2 * np.pi:
+    wrapped: F64 = np.pi - np.remainder(np.pi - beams, 2 * np.pi)
+    steps = np.diff(np.unwrap(wrapped))
+    if np.sign(steps).sum() < 0:
+        steps = -steps
+    # a step back may be a step forward over a sector of more than 180 degrees without beams; then
+    # all steps together make at most one turn
+    n_back = np.count_nonzero(steps < 0)
+    if n_back and steps.sum() + 2 * np.pi * n_back > 2 * np.pi:
         raise InputError(
             "beam_rad", "found angles that turn back, expected them to rise or fall with the column"
         )
-    return turned
+    return wrapped
 
 
 def _coordinates(xyz_m: ArrayLike, range_m: F32) -> F32:
@@ -759,12 +795,12 @@ def _coordinates(xyz_m: ArrayLike, range_m: F32) -> F32:
             "xyz_m", f"found an array of shape {xyz.shape}, expected {(*range_m.shape, 3)}"
         )
     xyz[~np.isfinite(xyz).all(axis=-1)] = np.nan
-    both = ~np.isnan(range_m) & ~np.isnan(xyz[..., 0])
-    off = np.abs(np.sqrt((xyz[both].astype(np.float64) ** 2).sum(axis=-1)) - range_m[both])
-    if off.size and np.median(off) > OFF_M:
-        problem = (
-            f"found points {np.median(off):.3g} m farther or nearer than their ranges (median)"
-        )
+    have_both = ~np.isnan(range_m) & ~np.isnan(xyz[..., 0])
+    distance_m = np.sqrt((xyz[have_both].astype(np.float64) ** 2).sum(axis=-1))
+    difference_m = np.abs(distance_m - range_m[have_both])
+    if difference_m.size and np.median(difference_m) > OFF_M:
+        median_m = np.median(difference_m)
+        problem = f"found points {median_m:.3g} m farther or nearer than their ranges (median)"
         raise InputError("xyz_m", f"{problem}, expected coordinates relative to the scanner")
     return xyz
 
@@ -775,24 +811,28 @@ def run_record(
     loaded: LoadedConfig,
     input_print: Fingerprint | None = None,
 ) -> RunRecord:
-    """Return the provenance of a finished run; without its hash the input is read again."""
+    """Return the provenance of a finished run; without ``input_print`` the input is read again."""
     config = loaded.config
-    trajectory = loaded.trajectory
-    is_whole = config.input.window is None
+    # the hash and the number of records are those of the complete file
+    is_complete = config.input.window is None
+    if input_print is None:
+        input_print = fingerprint(Path(info.path), hashes=is_complete)
+    n_records = counts.tally.n_records
+    if is_complete and info.n_records is not None:
+        n_records = info.n_records
+    assumptions = info.assumptions
+    if loaded.choice is not None:
+        assumptions = (loaded.choice.assumption, *assumptions)
     return RunRecord(
         config=config.of_run(),
-        input=fingerprint(Path(info.path), hashes=is_whole) if input_print is None else input_print,
-        trajectory=None if trajectory is None else fingerprint(trajectory),
+        input=input_print,
+        trajectory=None if loaded.trajectory is None else fingerprint(loaded.trajectory),
         format=info.format,
         points_per_line=info.points_per_line,
         n_lines=counts.n_lines,
-        n_records=info.n_records
-        if is_whole and info.n_records is not None
-        else counts.tally.n_records,
+        n_records=n_records,
         n_missing=counts.n_missing,
-        assumptions=info.assumptions
-        if loaded.choice is None
-        else (loaded.choice.assumption, *info.assumptions),
+        assumptions=assumptions,
         tally=counts.tally,
         notices=(*loaded.notes, *info.facts.notes),
     )
