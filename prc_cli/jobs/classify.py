@@ -390,7 +390,7 @@ def _classify(
             source, loaded, engine, geometry=is_new_cloud, only_ranges=only_ranges, loading=loading
         )
         if suffix_of(output) == LAZ and not asked_columns(loaded.config.output):
-            # damaged layers are copied as they are, so they are refused before any work
+            # LAZ to LAZ copies all layers as bytes: those not read here are decoded to find damage
             opened.info.facts.check_layers()
         needs = loaded.config.classifier.method().needs
         if loaded.config.output.confidence:

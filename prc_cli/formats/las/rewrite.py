@@ -81,6 +81,20 @@ Behind the last mask no record is read.
 CARRIED = tuple(column.name for column in OPTIONAL_COLUMNS)
 """Dimensions of this program that can be written with the class."""
 _COPY_BYTES = 4 << 20
+_MINOR_VERSION = 25
+"""Byte of the header with the minor version."""
+_RETURN_NUMBER = 14
+"""Byte of a record whose lowest bits are the return number: 4 bits from point format 6 on, else 3.
+
+Its first 12 bytes are x, y, z, int32 each.
+"""
+_EVLR_START = 235
+"""Byte of the header where the start of the EVLRs is."""
+_WAVEFORMS_INSIDE = 2
+_WAVEFORMS_BESIDE = 4
+"""Bits of ``global_encoding``: waveforms are in the file, or in a file beside it."""
+_WAVEFORM_FORMATS_LAZ = (9, 10)
+"""Point formats whose compressed waveform packets may be damaged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,8 +121,8 @@ class Plan:
 
     @property
     def is_checked(self) -> bool:
-        """Whether the records are read back: compressed waveform packets may be damaged."""
-        return self.compress and self.point_format in (9, 10)
+        """Whether the written records are read back and compared with the right ones."""
+        return self.compress and self.point_format in _WAVEFORM_FORMATS_LAZ
 
     @property
     def upgrades(self) -> bool:
@@ -158,8 +172,11 @@ def copy_las(
     plan = Plan(las, las.point_format, output.suffix.lower() == LAZ, is_part=masks is not None)
     notices: list[str] = []
     vlrs = _planned_vlrs(plan, notices.append)
-    drop = (COPC_USER,) if record is None else (COPC_USER, RECORD_KEY.user_id)
-    points = _Points(plan)
+    dropped_users: tuple[str, ...] = (COPC_USER,)
+    if record is not None:
+        vlrs = with_record(vlrs, record)
+        dropped_users = (COPC_USER, RECORD_KEY.user_id)
+    points = _PointWriter(plan)
 
     def write_points(source: Source, target: Target, sink: Callable[[], PointSink]) -> None:
         with contextlib.closing(read_records(source, las, plan.batch)) as batches:
@@ -170,14 +187,7 @@ def copy_las(
             pairs = zip(masks(plan.batch), batches, strict=False)
             points.write(sink(), (records[mask] for mask, records in pairs))
 
-    _write_again(
-        plan,
-        vlrs if record is None else with_record(vlrs, record),
-        temporary,
-        write_points,
-        points,
-        drop,
-    )
+    _write_file(plan, vlrs, temporary, write_points, points, dropped_users)
     points.check(temporary, output)
     return tuple(notices)
 
@@ -188,7 +198,8 @@ def _planned_vlrs(
     """Return the VLRs of an output, still with the old run record; give notices of unusual ones."""
     las = plan.las
     vlrs = list(plan.las.vlrs)
-    if any(readable(vlr) != vlr for vlr in (*las.vlrs, *las.evlrs)):
+    has_unreadable = any(readable(vlr) != vlr for vlr in (*las.vlrs, *las.evlrs))
+    if has_unreadable:
         notice(
             "names or coordinate systems in the header have bytes that are no text; "
             "they were written as ?"
@@ -209,26 +220,27 @@ def _planned_vlrs(
         if crs_notice:
             notice(crs_notice)
     fields = las.fields()
-    if fields.get("global_encoding") & 4 and fields.has("waveform_start"):
+    if fields.get("global_encoding") & _WAVEFORMS_BESIDE and fields.has("waveform_start"):
         name = f"{las.path.stem}.wdp"
         beside = "copy it beside the output, with the output's name and .wdp"
         notice(f"waveforms lie in a file of their own beside the input, {name}; {beside}")
     if not plan.compress:
         return [vlr for vlr in vlrs if not vlr.has(LASZIP_KEY)]
-    same = not plan.upgrades and not plan.appended
-    new = laszip_vlr(las, plan.point_format, las.n_extra_bytes + plan.n_appended, keep=same)
-    old = las.vlr(LASZIP_KEY)
-    if old is None or old.data is None:
-        return [*vlrs, new]
-    if has_variable_chunks(old.data):
+    same_records = not plan.upgrades and not plan.appended
+    n_extra_bytes = las.n_extra_bytes + plan.n_appended
+    laszip = laszip_vlr(las, plan.point_format, n_extra_bytes, keep=same_records)
+    input_laszip = las.vlr(LASZIP_KEY)
+    if input_laszip is None or input_laszip.data is None:
+        return [*vlrs, laszip]
+    if has_variable_chunks(input_laszip.data):
         notice("compressed chunks of differing length were written as chunks of equal length")
-    elif same and new.data != old.data:
-        text = "the points were compressed with a version of laszip's items that is not written"
-        notice(f"{text}; the usual one is used")
-    return [new if vlr.has(LASZIP_KEY) else vlr for vlr in vlrs]
+    elif same_records and laszip.data != input_laszip.data:
+        problem = "the points were compressed with a version of laszip's items that is not written"
+        notice(f"{problem}; the usual one is used")
+    return [laszip if vlr.has(LASZIP_KEY) else vlr for vlr in vlrs]
 
 
-class _Points:
+class _PointWriter:
     """Writes records, and collects counts, bounds and checksum for the header and the check."""
 
     def __init__(self, plan: Plan) -> None:
@@ -240,13 +252,15 @@ class _Points:
         self._high = np.full(3, np.iinfo(np.int64).min)
 
     def write(self, sink: PointSink, batches: Iterable[U8]) -> None:
+        """Write batches of records, (n, record_bytes) uint8, and close the sink."""
         for records in batches:
             if not len(records):
                 continue
             if self._plan.is_part or self._plan.upgrades:
                 self._n += len(records)
-                number = records[:, 14] & (0x0F if self._plan.point_format >= 6 else 0x07)
-                self._by_return += np.bincount(number, minlength=16)
+                bits = 0x0F if self._plan.point_format >= 6 else 0x07
+                return_number = records[:, _RETURN_NUMBER] & bits
+                self._by_return += np.bincount(return_number, minlength=16)
             if self._plan.is_part:
                 xyz = np.ascontiguousarray(records[:, :12]).view("<i4")
                 self._low = np.minimum(self._low, xyz.min(axis=0))
@@ -256,7 +270,7 @@ class _Points:
             sink.write(records)
         sink.close()
 
-    def finish(self, fields: HeaderFields) -> None:
+    def set_counts(self, fields: HeaderFields) -> None:
         """Set counts, and bounds of a part, in a header; legacy counts of zero stay zero."""
         plan = self._plan
         if not plan.is_part and not plan.upgrades:
@@ -270,8 +284,11 @@ class _Points:
         if plan.is_part and self._n:
             scale = np.array(plan.las.scales)
             offset = np.array(plan.las.offsets)
-            bounds = np.stack([self._high * scale + offset, self._low * scale + offset], axis=1)
-            fields.set("bounds", *np.sort(bounds, axis=1)[:, ::-1].ravel().tolist())
+            ends = np.stack([self._low * scale + offset, self._high * scale + offset], axis=1)
+            # a scale may be negative
+            min_max = np.sort(ends, axis=1)
+            # the header has x max, x min, y max, ...
+            fields.set("bounds", *min_max[:, ::-1].ravel().tolist())
 
     def check(self, written: Path, output: Path) -> None:
         """Compare the CRC-32 of the output: lazrs 0.8.2 damages packets of several channels."""
@@ -283,25 +300,26 @@ class _Points:
             for records in read_records(source, las, self._plan.batch):
                 checksum = zlib.crc32(np.ascontiguousarray(records).data, checksum)
         if checksum != self._checksum:
-            form = self._plan.point_format
-            problem = f"LAZ changes the waveform packets of records of point format {form}"
+            point_format = self._plan.point_format
+            problem = f"LAZ changes the waveform packets of records of point format {point_format}"
             raise OutputError(str(output), problem, "write .las instead of .laz")
 
 
-def _write_again(
+def _write_file(
     plan: Plan,
     vlrs: list[Vlr],
     temporary: Path,
     write_points: Callable[[Source, Target, Callable[[], PointSink]], None],
-    points: _Points,
-    drop: tuple[str, ...],
+    points: _PointWriter,
+    dropped_users: tuple[str, ...],
 ) -> Tail:
-    """Copy header, VLRs and user bytes, points, the bytes behind them, and the final header."""
+    """Write the file from its header to its last byte, without the EVLRs of some user ids."""
     las = plan.las
     vlrs = [readable(vlr) for vlr in vlrs]
-    with open_source(las.path) as source, temporary.open("w+b") as writing:
-        target = Target(writing)
+    with open_source(las.path) as source, temporary.open("w+b") as file:
+        target = Target(file)
         fields = _new_fields(plan, vlrs)
+        # it only takes its place: counts and offsets are known at the end
         target.write(fields.data)
         for vlr in vlrs:
             target.write(vlr.raw)
@@ -313,15 +331,17 @@ def _write_again(
             return LazSink(target, next(vlr.data or b"" for vlr in vlrs if vlr.has(LASZIP_KEY)))
 
         write_points(source, target, open_sink)
-        tail = plan_tail(las, tail_bounds(source, las), target.tell(), drop=drop)
+        tail = plan_tail(las, tail_bounds(source, las), target.tell(), dropped_users)
         for start, stop in tail.spans:
             _copy_bytes(source, target, start, stop)
         for evlr in las.evlrs:
-            if evlr.user_id not in drop and (mended := readable(evlr)) != evlr:
+            readable_evlr = readable(evlr)
+            if evlr.user_id not in dropped_users and readable_evlr != evlr:
+                # of the same length as the copied one
                 target.seek(tail.moved(evlr.start))
-                target.write(mended.raw)
+                target.write(readable_evlr.raw)
         _set_tail(fields, las, tail)
-        points.finish(fields)
+        points.set_counts(fields)
         target.seek(0)
         target.write(fields.data)
         target.flush()
@@ -343,27 +363,30 @@ def _new_fields(plan: Plan, vlrs: list[Vlr]) -> HeaderFields:
     las = plan.las
     fields = plan.las.fields()
     if plan.upgrades:
-        minor = fields.data[25]
+        minor = fields.data[_MINOR_VERSION]
         if minor < 4:
-            # user bytes at its end stay there
-            standard = STANDARD_HEADER[minor]
-            fields = HeaderFields(las.raw[:standard] + bytes(375 - standard) + las.raw[standard:])
-            fields.data[25] = 4
+            # LAS 1.4: zeros in the new fields, then the user bytes at the end of the old header
+            old_bytes = STANDARD_HEADER[minor]
+            new_fields = bytes(STANDARD_HEADER[4] - old_bytes)
+            fields = HeaderFields(las.raw[:old_bytes] + new_fields + las.raw[old_bytes:])
+            fields.data[_MINOR_VERSION] = 4
             fields.set("header_size", len(fields.data))
         fields.set("legacy_n_points", 0)
         fields.set("legacy_by_return", 0, 0, 0, 0, 0)
         fields.set("global_encoding", fields.get("global_encoding") | WKT_BIT)
     if plan.upgrades or plan.compress != las.compressed:
         fields.set("point_format", plan.point_format | (COMPRESSED if plan.compress else 0))
-    added = standard_bytes(plan.point_format) - standard_bytes(las.point_format) + plan.n_appended
-    fields.set("record_length", las.record_bytes + added)
+    record_growth = standard_bytes(plan.point_format) - standard_bytes(las.point_format)
+    fields.set("record_length", las.record_bytes + record_growth + plan.n_appended)
     fields.set("n_vlrs", len(vlrs))
-    offset = len(fields.data) + sum(len(vlr.raw) for vlr in vlrs) + las.data_offset - las.vlr_end
-    if offset >= 1 << 32:
+    vlr_bytes = sum(len(vlr.raw) for vlr in vlrs)
+    user_bytes = las.data_offset - las.vlr_end
+    point_offset = len(fields.data) + vlr_bytes + user_bytes
+    if point_offset >= 1 << 32:
         raise OutputError(
-            str(las.path), f"points would begin at byte {offset}, LAS allows 4294967295"
+            str(las.path), f"points would begin at byte {point_offset}, LAS allows 4294967295"
         )
-    fields.set("point_offset", offset)
+    fields.set("point_offset", point_offset)
     return fields
 
 
@@ -398,43 +421,54 @@ def plan_tail(
     las: LasHeader,
     bounds: Span,
     start: int,
-    drop: tuple[str, ...],
+    dropped_users: tuple[str, ...],
 ) -> Tail:
-    """Plan the copy of everything behind the points, without the EVLRs of some user ids."""
+    """Plan the copy of everything behind the points, without the EVLRs of some user ids.
+
+    ``bounds`` are the bytes behind the points of the input; ``start`` is the first of the output.
+    """
     cursor = bounds.start
     if las.evlrs and las.evlrs[0].start < cursor:
         first_byte = las.evlrs[0].start
         problem = (
             f"the first EVLR is at byte {first_byte}, expected it behind the points (byte {cursor})"
         )
-        raise damaged(las.path, 235, problem)
+        raise damaged(las.path, _EVLR_START, problem)
     spans: list[Span] = []
-    kept = [evlr for evlr in las.evlrs if evlr.user_id not in drop]
     for evlr in las.evlrs:
-        if evlr.user_id in drop:
+        if evlr.user_id in dropped_users:
+            # up to this EVLR, then on behind it
             spans.append(Span(cursor, evlr.start))
             cursor = evlr.stop
     spans.append(Span(cursor, max(cursor, bounds.stop)))
     copied = tuple(span for span in spans if span.start < span.stop)
-    tail = Tail(copied, start, 0, len(kept))
-    return replace(tail, evlr_start=tail.moved(kept[0].start) if kept else 0)
+    kept = [evlr for evlr in las.evlrs if evlr.user_id not in dropped_users]
+    tail = Tail(copied, start, evlr_start=0, n_evlrs=len(kept))
+    return replace(tail, evlr_start=tail.moved(kept[0].start)) if kept else tail
 
 
 def _set_tail(fields: HeaderFields, las: LasHeader, tail: Tail) -> None:
-    before = las.fields()
-    if fields.has("waveform_start") and before.get("waveform_start"):
-        fields.set("waveform_start", tail.moved(before.get("waveform_start")))
+    """Set the positions of waveforms and EVLRs in the header of the output."""
+    input_fields = las.fields()
+    if fields.has("waveform_start") and input_fields.get("waveform_start"):
+        fields.set("waveform_start", tail.moved(input_fields.get("waveform_start")))
     if not fields.has("evlr_start"):
         return
-    if before.has("evlr_start"):
-        fields.set(
-            "evlr_start", tail.evlr_start if tail.n_evlrs or las.evlrs else before.get("evlr_start")
-        )
+    if input_fields.has("evlr_start"):
+        if tail.n_evlrs or las.evlrs:
+            fields.set("evlr_start", tail.evlr_start)
+        else:
+            # without EVLRs the value means nothing, and stays as it was
+            fields.set("evlr_start", input_fields.get("evlr_start"))
         fields.set("n_evlrs", tail.n_evlrs)
-    elif fields.get("waveform_start") and fields.get("global_encoding") & 2:
+    elif fields.get("waveform_start") and fields.get("global_encoding") & _WAVEFORMS_INSIDE:
         # LAS 1.3 has its waveforms in an EVLR, but only LAS 1.4 has a count of EVLRs
         fields.set("evlr_start", fields.get("waveform_start"))
         fields.set("n_evlrs", 1)
+
+
+def _header_bytes(las: LasHeader) -> tuple[object, ...]:
+    return las.raw, las.vlrs, las.evlrs, las.file_bytes
 
 
 class LasRewriter(ScatterWriter):
@@ -444,7 +478,8 @@ class LasRewriter(ScatterWriter):
         self._source_path = labels.source
         self._laz_contexts = None if labels.is_part else labels.laz_contexts
         self._user_names = dict(labels.user_names)
-        self._state = self._source_state()
+        # compared at the end: another program may have changed the input
+        self._state_at_start = self._source_state()
         self._las = read_las(labels.source)
         super().__init__(labels, asked_columns(labels.options), self._las.n_records)
         self._compress = labels.path.suffix.lower() == LAZ
@@ -455,18 +490,13 @@ class LasRewriter(ScatterWriter):
 
     def _write(self, record: RunRecord) -> RunRecord:
         las = read_las(self._source_path)
-        before = self._las
-        if (las.raw, las.vlrs, las.evlrs, las.file_bytes) != (
-            before.raw,
-            before.vlrs,
-            before.evlrs,
-            before.file_bytes,
-        ):
+        if _header_bytes(las) != _header_bytes(self._las):
             problem = "found another header than at the start of the run, expected the same file"
             raise InputError(
                 str(self._source_path), problem, "run again when nothing else writes the input"
             )
         check_copied(las)
+        # the highest code decides the point format, so codes are counted before the plan
         for columns in self._columns(las.n_records):
             self._count(columns.codes)
         plan = self._plan(las)
@@ -479,8 +509,8 @@ class LasRewriter(ScatterWriter):
             for notice in notices:
                 self._notice(notice)
         record = self._completed(record)
-        points = _Points(plan)
-        moved: dict[int, tuple[int, int]] = {}
+        points = _PointWriter(plan)
+        moved_chunks: dict[int, tuple[int, int]] = {}
 
         def write_points(
             source: Source, target: Target, open_sink: Callable[[], PointSink]
@@ -488,75 +518,88 @@ class LasRewriter(ScatterWriter):
             values = self._columns(las.n_records, plan.batch)
             if splice is not None:
                 codes = (columns.codes for columns in values)
-                moved.update(splice_classes(source, target, splice, codes, self._laz_contexts))
+                moved_chunks.update(
+                    splice_classes(source, target, splice, codes, self._laz_contexts)
+                )
                 return
             with contextlib.closing(read_records(source, las, plan.batch)) as batches:
-                points.write(open_sink(), self._changed(plan, values, batches))
+                points.write(open_sink(), self._changed_batches(plan, values, batches))
 
-        drop = (RECORD_KEY.user_id,) if is_copc else (RECORD_KEY.user_id, COPC_USER)
-        tail = _write_again(
-            plan, with_record(vlrs, record), self._temporary, write_points, points, drop
+        dropped_users = (RECORD_KEY.user_id,) if is_copc else (RECORD_KEY.user_id, COPC_USER)
+        tail = _write_file(
+            plan, with_record(vlrs, record), self._temporary, write_points, points, dropped_users
         )
         if splice is not None and is_copc:
-            place = {page.position: tail.moved(page.position) for page in splice.pages}
-            move_index(self._temporary, las, splice, moved, place)
+            moved_pages = {page.position: tail.moved(page.position) for page in splice.pages}
+            move_index(self._temporary, las, splice, moved_chunks, moved_pages)
         points.check(self._temporary, self.path)
-        if self._source_state() != self._state:
+        if self._source_state() != self._state_at_start:
             problem = "changed while it was read"
             raise InputError(
                 str(self._source_path), problem, "run again when nothing else writes the input"
             )
         return record
 
-    def _changed(
+    def _changed_batches(
         self, plan: Plan, values: Iterator[Columns], batches: Iterator[U8]
     ) -> Iterator[U8]:
         # the columns first: behind the last one no batch is decoded
-        for k, (columns, records) in enumerate(zip(values, batches, strict=not plan.is_part)):
+        for batch, (columns, records) in enumerate(zip(values, batches, strict=not plan.is_part)):
             if plan.is_part:
-                records = records[columns.record - k * plan.batch]
+                first_record = batch * plan.batch
+                records = records[columns.record - first_record]
             if len(records):
-                yield changed(records, columns, plan)
+                yield changed_records(records, columns, plan)
 
     def _plan(self, las: LasHeader) -> Plan:
         used = np.flatnonzero(self._counts)
         highest = int(used[-1]) if len(used) else 0
-        form = las.point_format
-        if form < 6 and highest >= FIVE_BIT_LIMIT:
-            form = FORMAT_FOR_CODES[las.point_format]
-            empty = {0: "; gps_time is 0", 2: "; gps_time is 0", 5: "; near infrared is 0"}
+        point_format = las.point_format
+        if point_format < 6 and highest >= FIVE_BIT_LIMIT:
+            point_format = FORMAT_FOR_CODES[las.point_format]
+            new_fields = {0: "; gps_time is 0", 2: "; gps_time is 0", 5: "; near infrared is 0"}
             self._notice(
                 f"point format {las.point_format} cannot hold code {highest}; "
-                f"upgraded to {form}{empty.get(las.point_format, '')}"
+                f"upgraded to {point_format}{new_fields.get(las.point_format, '')}"
             )
-        moved = standard_bytes(form) - standard_bytes(las.point_format)
+        record_growth = standard_bytes(point_format) - standard_bytes(las.point_format)
         appended = []
         replaced = []
-        present = {extra.name: extra for extra in read_layout(las).extra} if self._optional else {}
+        # the extra bytes of the input are read only if columns may collide with them
+        input_columns = {}
+        if self._optional:
+            input_columns = {extra.name: extra for extra in read_layout(las).extra}
         for column in self._optional:
-            same_name = present.get(column.name)
+            same_name = input_columns.get(column.name)
             data_type = data_type_of(column.dimension)
             if same_name is None:
                 appended.append(column)
             elif same_name.data_type != data_type:
-                what = f"extra bytes named {column.name!r} of type {same_name.data_type}"
-                problem = f"the input has {what}, expected none or type {data_type}"
+                extra_bytes = f"extra bytes named {column.name!r} of type {same_name.data_type}"
+                problem = f"the input has {extra_bytes}, expected none or type {data_type}"
                 raise OutputError(str(las.path), problem, f"set [output] {column.option} = false")
             elif column.keep:
                 self._notice(f"the input has {column.name} already; it was kept as it is")
             else:
                 self._notice(f"the input has {column.name} already; its values were replaced")
-                replaced.append((column, same_name.place + moved))
-        plan = Plan(las, form, self._compress, self._is_part, tuple(appended), tuple(replaced))
-        length = las.record_bytes + moved + plan.n_appended
+                replaced.append((column, same_name.place + record_growth))
+        plan = Plan(
+            las=las,
+            point_format=point_format,
+            compress=self._compress,
+            is_part=self._is_part,
+            appended=tuple(appended),
+            replaced=tuple(replaced),
+        )
+        length = las.record_bytes + record_growth + plan.n_appended
         if length > 65_535:
             problem = f"records would take {length} bytes, LAS allows 65535"
             raise OutputError(str(las.path), problem, "add no extra bytes")
         return plan
 
 
-def changed(records: U8, columns: Columns, plan: Plan) -> U8:
-    """Return the records of the output; may change the given ones in place."""
+def changed_records(records: U8, columns: Columns, plan: Plan) -> U8:
+    """Return the records of the output, (n, bytes) uint8; may change the given ones in place."""
     if plan.upgrades:
         records = upgrade(records, plan.las.point_format)
     set_classes(records, plan.point_format, columns.codes)
@@ -585,6 +628,7 @@ class LasRecoder(LasRewriter):
                 raise ConfigError(
                     "--carry", f"found {name!r}, expected one of {', '.join(CARRIED)}"
                 )
+        # carried values replace columns of the same name that the output has already
         chosen = (column for column in OPTIONAL_COLUMNS if column.name in carried)
         self._optional = tuple(replace(column, keep=False) for column in chosen)
 
@@ -592,6 +636,7 @@ class LasRecoder(LasRewriter):
         super().__enter__()
         try:
             with output_errors(self.path):
+                # there is no first block that could lack columns: all are written
                 self._settle(None)
         except BaseException:
             self._stack.close()
