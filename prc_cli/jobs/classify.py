@@ -499,7 +499,7 @@ def write_labels(
 
     with ExitStack() as stack:
         blocks = timed_items(stream.blocks(), "reading")
-        pass_on = write_block
+        pass_on: Callable[[LabelledBlock], None] = write_block
         if threads > 1:
             blocks = read_ahead(blocks, depth=AHEAD)
             stack.callback(close_items, blocks)
