@@ -320,7 +320,7 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
 def _reasons(labels: U8, method_labels: U8) -> U8:
     """Return the rule behind every label of :func:`_labelled`, (lines, M) uint8.
 
-    It differs from ``method_labels`` in the returns beyond the reach, which the method does not see.
+    ``method_labels`` differ in the returns beyond the reach, which the method does not see.
     """
     reasons = reasons_of(labels, LABEL_REASONS["sequential-angle"])
     reasons[labels != method_labels] = Reason.BEYOND_REACH
