@@ -142,10 +142,9 @@ def test_loops_use_nothing_that_their_folder_is_not_named_by() -> None:
     for file in Path(cache.__file__).parents[1].rglob("*_loops.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and str(node.module).startswith("prc_cli"):
-                beside = ".".join(
-                    [*file.relative_to(Path(cache.__file__).parents[2]).parts[:-1], "thresholds"]
-                )
-                assert node.module in (*known, beside), f"{file}: {node.module}"
+                package = ".".join(file.relative_to(Path(cache.__file__).parents[2]).parts[:-1])
+                beside = {f"{package}.{name.removesuffix('.py')}" for name in cache.BESIDE}
+                assert node.module in known | beside, f"{file}: {node.module}"
 
 
 @posix_only

@@ -44,12 +44,12 @@ class _Window(NamedTuple):
             two = [self.i + way, self.i + 2 * way]
             if not (self.labels[self.line - 2, two] == CAR).any():
                 return False
-            if not (self.range_m[self.line, two] < self.middle_m - thresholds.mirror_m).any():
+            if not (self.range_m[self.line, two] < self.range_of_shot - thresholds.mirror_m).any():
                 return False
         sides = [0, 0]
         fellows = 0
         for k, j in self.around(1):
-            off = self.range_m[k, j] - self.middle_m
+            off = self.range_m[k, j] - self.range_of_shot
             if off < -thresholds.mirror_m and self.labels[k - 2, j] == CAR and j != self.i:
                 sides[int(j > self.i)] += 1
             if abs(off) <= thresholds.mirror_m and self.smooth[k, j] >= 2:
@@ -60,13 +60,13 @@ class _Window(NamedTuple):
         near = [
             cell
             for cell in self.around(1)
-            if abs(self.range_m[cell] - self.middle_m) < thresholds.leaf_m
+            if abs(self.range_m[cell] - self.range_of_shot) < thresholds.leaf_m
         ]
         return sum(self.labels[k - 2, j] == VEGETATION for k, j in near) >= thresholds.leaves
 
     def is_alone(self, thresholds: AgainThresholds) -> bool:
         ranges = np.array([self.range_m[place] for place in self.around()], np.float32)
-        off = ranges[~np.isnan(ranges)] - self.middle_m
+        off = ranges[~np.isnan(ranges)] - self.range_of_shot
         if (np.abs(off) < thresholds.alone_m).any():
             return False
         # the shot itself is part of the window

@@ -176,7 +176,7 @@ def test_a_message_that_grows_beyond_measure_is_refused(
     made.write_bag(path, [long], "lz4") if version == 1 else made.write_mcap(path, [long], "zstd")
     assert path.stat().st_size < 1 << 20
     del long, row
-    monkeypatch.setattr(process._State, "limited", True)
+    monkeypatch.setattr(process._State, "limits_hold", True)
     monkeypatch.setattr(process, "SPARE_BYTES", 20 << 20)
     with pytest.raises(InputError, match="takes too much memory for its size"):
         read(path)

@@ -243,7 +243,7 @@ def test_parts_are_numbered_by_the_last_wildcards() -> None:
     assert drives.of("a/e.bin")[0] == "a/*.bin"
     assert drives.of("scan-7.las") == ("scan-7.las", ())
     for bad in ("drive.laz", "night/**", "n*/drive.laz", ""):
-        with pytest.raises(ConfigError, match="a wildcard in the file's name"):
+        with pytest.raises(ConfigError, match="a wildcard in the file name"):
             Drives([bad])
 
 

@@ -416,7 +416,7 @@ def test_transfer_places_the_shots_too(drive: Path, tmp_path: Path) -> None:
     ("arguments", "poses", "message"),
     [
         (("--mount", "0,25"), "poses.csv", "expected ROLL,PITCH,YAW or ROLL,PITCH,YAW,X,Y,Z"),
-        (("--mount", "up"), "poses.csv", "expected numbers with commas"),
+        (("--mount", "up"), "poses.csv", "expected numbers separated by commas"),
         ((), "positions.csv", "no column for roll"),
         ((), "bare.csv", "no column for roll"),
         ((), "missing.csv", "cannot be read"),
