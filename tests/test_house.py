@@ -16,6 +16,7 @@ from prc_cli.config import load_config
 from prc_cli.evaluation import mapping
 from prc_cli.formats.registry import formats
 from tests import patience
+from tests.measure import together, weigh, weigh_text
 
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = sorted((ROOT / "prc_cli").rglob("*.py"))
@@ -155,3 +156,61 @@ def test_suffixes_of_formats_stay_in_their_room() -> None:
             if isinstance(node, ast.Constant) and node.value in known and id(node) not in parts
         ]
     assert named == []
+
+
+HEAVIEST = {
+    "prc_cli": {
+        "tokens": 670_000,
+        "tokens_per_line": 9.0,
+        "long_lines": 20,
+        "packed_share": 0.015,
+        "named_once": 1235,
+        "tuples": 21,
+        "format_skips": 10,
+        "riddles": 42,
+    },
+    "tests": {
+        "tokens": 457_000,
+        "tokens_per_line": 10.5,
+        "long_lines": 27,
+        "packed_share": 0.015,
+        "tuples": 68,
+        "format_skips": 10,
+        "riddles": 140,
+    },
+    "benchmarks": {
+        "tokens": 102_000,
+        "tokens_per_line": 9.3,
+        "long_lines": 5,
+        "packed_share": 0.015,
+        "tuples": 3,
+        "format_skips": 10,
+        "riddles": 24,
+    },
+}
+"""What a reader had to read at the last release, with 5 % air."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("folder", HEAVIEST)
+def test_the_house_is_no_heavier_to_read(folder: str) -> None:
+    weight = together(weigh(ROOT / folder))
+    heavier = {
+        name: getattr(weight, name)
+        for name, most in HEAVIEST[folder].items()
+        if getattr(weight, name) > most
+    }
+    assert heavier == {}, "python -m tests.measure shows the rooms"
+
+
+def test_what_makes_a_line_heavy_is_counted() -> None:
+    text = (
+        "def _f(one: tuple[int, str]) -> None:\n"
+        '    """Return one, of some."""\n'
+        "    a, b = one, 2\n"
+        f"    c = {'1 + ' * 30}1\n"
+        "\n\n_f((1, ''))\n"
+    )
+    weight = weigh_text(text)
+    assert (weight.riddles, weight.tuples, weight.packed, weight.assignments) == (2, 1, 1, 2)
+    assert (weight.long_lines, weight.named_once, weight.code_lines) == (1, 1, 4)

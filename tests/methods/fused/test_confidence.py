@@ -151,7 +151,7 @@ def test_other_methods_refuse_it(tmp_path: Path, preset: str | None) -> None:
     config = load_config(preset=preset, options=ON)
     with pytest.raises(
         ConfigError,
-        match=r"output\.confidence: this method has no confidence, expected fused; give --preset fused",
+        match=r"output\.confidence: this method has no confidence, expected fused; give --preset",
     ):
         classify(tmp_path / "s.npz", tmp_path / "o.csv", config)
     assert not (tmp_path / "o.csv").exists()
