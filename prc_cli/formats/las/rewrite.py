@@ -226,6 +226,12 @@ def _planned_vlrs(
         notice(f"waveforms lie in a file of their own beside the input, {name}; {beside}")
     if not plan.compress:
         return [vlr for vlr in vlrs if not vlr.has(LASZIP_KEY)]
+    return _with_laszip(plan, vlrs, notice)
+
+
+def _with_laszip(plan: Plan, vlrs: list[Vlr], notice: Callable[[str], None]) -> list[Vlr]:
+    """Return the VLRs with the one that describes the compression of the output."""
+    las = plan.las
     same_records = not plan.upgrades and not plan.appended
     n_extra_bytes = las.n_extra_bytes + plan.n_appended
     laszip = laszip_vlr(las, plan.point_format, n_extra_bytes, keep=same_records)
@@ -500,6 +506,8 @@ class LasRewriter(ScatterWriter):
         for columns in self._columns(las.n_records):
             self._count(columns.codes)
         plan = self._plan(las)
+        # if only classes change, chunks of LAZ may be copied with new classes (else None), and the
+        # index of a COPC file stays
         with open_source(self._source_path) as source:
             splice = find_chunks(source, las) if plan.only_classes else None
         is_copc = splice is not None and bool(splice.pages)
@@ -543,6 +551,7 @@ class LasRewriter(ScatterWriter):
     def _changed_batches(
         self, plan: Plan, values: Iterator[Columns], batches: Iterator[U8]
     ) -> Iterator[U8]:
+        """Yield the records of the output; of a part, only the records that have values."""
         # the columns first: behind the last one no batch is decoded
         for batch, (columns, records) in enumerate(zip(values, batches, strict=not plan.is_part)):
             if plan.is_part:
