@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.errors import InputError
+from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import open_to_read
 from prc_cli.core.process import step
 from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock
 from prc_cli.core.types import F64, I64
-from prc_cli.formats.options import InputConfig
+from prc_cli.formats.options import InputConfig, parse_origin
 from prc_cli.formats.organised.scans import (
     INTENSITY_STEPS,
     MAX_LINES,
@@ -288,7 +288,9 @@ class E57Stream:
     def __init__(
         self, path: Path, config: InputConfig, _lines_at_once: int = 1
     ) -> None:  # scans are blocks
-        check_rules(path, config)
+        has_origin = config.range.startswith("origin:")
+        check_rules(path, config.model_copy(update={"range": "auto"}) if has_origin else config)
+        self._origin_m = parse_origin(config.range) if has_origin else None
         self._path = path
         self._config = config
         self._scans: list[_Scan] = []
@@ -302,7 +304,30 @@ class E57Stream:
         shapes = [scan.shape for scan in self._scans]
         check_shapes(path, shapes, config)
         poses = [scan.pose for scan in self._scans]
-        self.info = describe(path, "E57", shapes, self._assumptions(), self._notes(), poses)
+        self.info = describe(
+            path,
+            "E57",
+            shapes,
+            self._assumptions(),
+            self._notes(),
+            poses,
+            takes_origin=self._takes_origin(tables),
+        )
+
+    def _takes_origin(self, tables: Sequence[E57Scan]) -> bool:
+        """Whether ``--range origin:X,Y,Z`` applies: one scan of x, y, z without a pose.
+
+        Raises :class:`~prc_cli.core.errors.ConfigError` if the option is given and does not apply.
+        """
+        full = [table for table in tables if table.n_points]
+        applies = len(full) == 1 and all(
+            table.quaternion is None and not any(table.station_m) and _is_cartesian(table)
+            for table in full
+        )
+        if self._origin_m is not None and not applies:
+            problem = f"{self._path.name} is not one scan of x, y, z without a pose"
+            raise ConfigError("input.range", problem, "leave it out: the file says where it is")
+        return applies
 
     def _where(self, index: int) -> str:
         return f"{self._path}: scan {index}"
@@ -367,6 +392,9 @@ class E57Stream:
 
     def _pose(self, table: E57Scan) -> Pose:
         station_m = np.array(table.station_m)
+        if self._origin_m is not None:
+            place_m = np.array(self._origin_m)
+            return Pose(np.eye(3), -place_m, place_m)
         if table.quaternion is None:
             return replace(Pose.none(), station_m=station_m)
         w, x, y, z = table.quaternion
@@ -631,9 +659,10 @@ def _coordinates(chunk: dict[str, F64], pose: Pose, *, cartesian: bool) -> tuple
     """Return sensor-centred coordinates (n, 3) and ranges (n,) [m], NaN at the origin."""
     if cartesian:
         xyz = np.stack([chunk[name] for name in CARTESIAN], axis=1)
-        length = lengths(xyz)
+        placed = pose.apply(xyz)
+        length = lengths(placed if pose.offset_m.any() else xyz)
         length[(xyz == 0).all(axis=1)] = np.nan
-        return pose.apply(xyz), length
+        return placed, length
     length, azimuth, elevation = (chunk[name] for name in SPHERICAL)
     with np.errstate(over="ignore", invalid="ignore"):
         flat = length * np.cos(elevation)

@@ -200,8 +200,16 @@ def describe(
     assumptions: list[Assumption],
     notes: list[str],
     poses: Sequence[Pose] = (),
+    *,
+    takes_origin: bool = False,
 ) -> StreamInfo:
-    """Return the metadata known before reading."""
+    """Return the metadata known before reading.
+
+    ``takes_origin``: the scan has no pose; ``--range origin:X,Y,Z`` says where the scanner is.
+    """
+    remedy = "export the scan again, in metres, with the scanner at its origin"
+    if takes_origin:
+        remedy += ", or give the place of the scanner: --range origin:X,Y,Z"
     full = [shape for shape in shapes if shape.n_cells]
     sizes = ", ".join(f"{shape.n_lines} x {shape.points_per_line}" for shape in full[:5])
     more = ", ..." if len(full) > 5 else ""
@@ -228,8 +236,8 @@ def describe(
             has_scans=True,
             stations=_stations(shapes, poses),
             notes=tuple(notes),
-            refuses=RULED_OUT | {"range_scale"},
-            remedy="export the scan again, in metres, with the scanner at its origin",
+            refuses=(RULED_OUT - {"range"} if takes_origin else RULED_OUT) | {"range_scale"},
+            remedy=remedy,
         ),
     )
 

@@ -82,6 +82,30 @@ def test_any_order_gives_the_same_lines(tmp_path: Path) -> None:
         assert on_disk != (name in ("column by column", "rows of a column in no order"))
 
 
+def test_registered_points_without_a_pose_take_the_place_of_the_scanner(tmp_path: Path) -> None:
+    points = grid_points(9, 7)
+    there = points[..., :3].any(axis=-1, keepdims=True)
+    place = np.array([4096.0, -8192.0, 32.0, 0.0])  # no bit is lost in the sum
+    points[..., :3] = np.round(points[..., :3] * 1024) / 1024
+    registered = write_e57(
+        tmp_path / "a.e57", [Scan(e57_fields(np.where(there, points + place, 0)))]
+    )
+    config = InputConfig(range="origin:4096,-8192,32")
+    stream = open_input(registered, config)
+    ranges, xyz = expected(points)
+    (block,) = scans_of(stream)
+    assert equal(block.range_m, ranges)
+    assert block.xyz_m is not None
+    assert equal(block.xyz_m, xyz)
+    assert stream.info.facts.stations == {0: (4096.0, -8192.0, 32.0)}
+    assert "range" not in stream.info.facts.refuses
+    assert "--range origin:X,Y,Z" in open_input(registered, AUTO).info.facts.remedy
+    turned = write_e57(tmp_path / "b.e57", [Scan(e57_fields(points), (1.0, 0.0, 0.0, 0.0))])
+    assert "one scan of x, y, z without a pose" in refused(turned, config)
+    two = write_e57(tmp_path / "c.e57", [Scan(e57_fields(points))] * 2)
+    assert "one scan of x, y, z without a pose" in refused(two, config)
+
+
 @pytest.mark.parametrize("shots", [1, 20, 70])
 @pytest.mark.parametrize("chunk", [3, 17])
 def test_chunks_change_nothing(
