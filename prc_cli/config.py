@@ -18,7 +18,16 @@ from pydantic.fields import FieldInfo
 from prc_cli import methods
 from prc_cli.core.brief import Brief
 from prc_cli.core.classes import ClassCodes
-from prc_cli.core.config import Params, build, flatten, merge, parse_toml, read_toml, samples_folder
+from prc_cli.core.config import (
+    OPTION,
+    Params,
+    build,
+    flatten,
+    merge,
+    parse_toml,
+    read_toml,
+    samples_folder,
+)
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import suffix_of
 from prc_cli.core.findings import Finding, Verdict
@@ -164,25 +173,20 @@ class MethodChoice:
         """A doubt if a better method lacks data, or if the kind of place is not clear."""
         if self.doubt:
             expected = "a place that is clearly a street or a forest"
-            give = (
-                "say which it is: --preset fused-forest for a forest, --preset fused for a street"
-            )
+            give = "for a forest: --preset fused-forest; for a street: --preset fused"
             return (Finding("method", Verdict.DOUBTFUL, self.doubt, expected, give),)
         if not self.lacks:
             return ()
         # figures of `python -m benchmarks.contest`, photon-80
-        problem = f"PRC as published was taken: {self.lacks}"
-        expected = (
-            "the angles of the beams, with which fused labels streets "
-            "(mean F1 0.96 there, of PRC 0.59)"
-        )
+        problem = f"prc chose PRC 2019 (mean F1 0.59 in streets): {self.lacks}"
+        expected = "beam angles, for fused (0.96)"
         return (
             Finding(
                 "method",
                 Verdict.DOUBTFUL,
                 problem,
                 expected,
-                f"{self.give}; or name the method: --preset urban",
+                f"{self.give}; to keep PRC 2019: --preset urban",
             ),
         )
 
@@ -287,7 +291,7 @@ def load_config(
     if file_path is not None:
         layers.append((str(file_path), from_folder(table, file_path.parent)))
     if options:
-        layers.append(("option", options))
+        layers.append((OPTION, options))
     return from_layers(layers, () if file_path is None else (file_path,))
 
 
@@ -414,7 +418,7 @@ def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
     layout = loaded.config.layout
     if layout is not None and layout.fields and not has_layout(path):
         reason = f"{suffix_of(path) or 'these'} files describe their records themselves"
-        if loaded.sources.get("layout.fields") == "option" and path.is_file():
+        if loaded.sources.get("layout.fields") == OPTION and path.is_file():
             problem = f"does nothing: {reason}"
             raise ConfigError(
                 "layout.fields",
@@ -528,14 +532,14 @@ def options_of(loaded: LoadedConfig) -> list[str]:
     layered = set(loaded.sources.values())
     # a layout is laid into the options: no value has the name of its file
     has_layout = any(
-        key.startswith("layout.") and source == "option" for key, source in loaded.sources.items()
+        key.startswith("layout.") and source == OPTION for key, source in loaded.sources.items()
     )
     layouts = [file for file in loaded.files if has_layout and str(file) not in layered]
     for file in loaded.files:
         words += ["--layout" if file in layouts else "--config", file.name]
     for key, source in loaded.sources.items():
         is_other = key.startswith("output.") or (bool(layouts) and key.startswith("layout."))
-        if source != "option" or is_other or key not in values:
+        if source != OPTION or is_other or key not in values:
             continue
         value = values[key]
         text = (

@@ -427,7 +427,7 @@ def print_end(
         for gate in summary.evaluation.gates:
             value = "undefined" if gate.value != gate.value else f"{gate.value:.4f}"
             say(
-                f"{gate.name}: found {value}, demanded {gate.limit:.4f}: "
+                f"{gate.name}: found {value}, expected at least {gate.limit:.4f}: "
                 f"{'passed' if gate.passed else 'failed'}"
             )
     if is_wrong or not quiet:

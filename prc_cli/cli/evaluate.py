@@ -291,7 +291,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     if not name:
         name, why = mapping_of_runs(files_of(left), files_of(right), how.reference_dimension)
     mapping = load_mapping(name)
-    demanded = [parse_gate(text, mapping) for text in options["gates"]]
+    gate_list = [parse_gate(text, mapping) for text in options["gates"]]
     if options["outputs"]:
         _check_outputs(
             options["outputs"],
@@ -303,7 +303,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     )
     pictures = _read_pictures(options["pictures"], wanted=page_wanted)
     evaluation = evaluate_all(left, right, name, options=how)
-    gates = check_gates(scores(evaluation.matrix), demanded)
+    gates = check_gates(scores(evaluation.matrix), gate_list)
     if (
         evaluation.match.method == "order" and page_wanted and how.window is None
     ):  # they show the first lines
@@ -521,7 +521,7 @@ def print_evaluation_details(evaluation: Evaluation, gates: Sequence[GateResult]
     for gate in gates:
         name, limit, value = gate_cells(gate)
         results().print(
-            f"{name}: found {value}, demanded {limit}: {'passed' if gate.passed else 'failed'}"
+            f"{name}: found {value}, expected at least {limit}: {'passed' if gate.passed else 'failed'}"
         )
     results().print(match_line(evaluation.match))
     for note in (*evaluation.match.notes, *doubts(evaluation)):

@@ -47,6 +47,8 @@ class Params(BaseModel):
 _EXPECTED = {"model_type": "a table", "missing": "a value, this key is required"}
 """Error types of the validation library, reworded for configuration files."""
 
+OPTION = "option"
+"""Source of the values that options of the command line give, for messages."""
 ParamsT = TypeVar("ParamsT", bound=Params)
 
 MAX_TOML_BYTES = 1 << 20
@@ -130,6 +132,7 @@ def _translate(error: ValidationError, model: type[Params], where: str) -> Confi
     issue = (unknown or issues)[0]
     location = [str(part) for part in issue["loc"]]
     key = ".".join(location)
+    place = f"--set {key}" if where == OPTION else where
     if issue["type"] == "extra_forbidden":
         if constants := model.constants(location, issue["input"]):
             values = ", ".join(
@@ -140,11 +143,8 @@ def _translate(error: ValidationError, model: type[Params], where: str) -> Confi
                 if len(constants) == 1
                 else f"leave them out: {values}"
             )
-            return ConfigError(where, f"{key} is a constant now, expected no such key", hint)
-        known = sorted(_keys_at(model, location[:-1]))
-        near = difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]!r}?" if near else f"known keys here: {', '.join(known)}"
-        return ConfigError(where, f"unknown key {key!r}", hint)
+            return ConfigError(place, f"{key} is a constant now, expected no such key", hint)
+        return ConfigError(place, f"unknown key {key!r}", _nearest_hint(model, location))
     expected = (
         _EXPECTED.get(issue["type"], issue["msg"])
         .removeprefix("Value error, ")
@@ -158,8 +158,29 @@ def _translate(error: ValidationError, model: type[Params], where: str) -> Confi
     )
     value = "" if says_value else f"found {issue['input']!r}, "
     more = f" (and {len(issues) - 1} more)" if len(issues) > 1 else ""
-    hint = "see `prc config schema` for every key, its bounds and its unit"
-    return ConfigError(where, f"{key or 'configuration'}: {value}expected: {expected}{more}", hint)
+    hint = "prc config schema prints every key with its limits"
+    what = "" if where == OPTION and key else f"{key or 'configuration'}: "
+    return ConfigError(place.rstrip(), f"{what}{value}expected: {expected}{more}", hint)
+
+
+def _nearest_hint(model: type[BaseModel], location: list[str]) -> str:
+    known = sorted(_keys_at(model, location[:-1]))
+    near = difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
+    if near:
+        return f"did you mean {near[0]!r}?"
+    # the key may belong to another table
+    elsewhere = [key for key in _dotted_keys(model) if key.rpartition(".")[2] == location[-1]]
+    if elsewhere:
+        return f"did you mean {' or '.join(repr(key) for key in elsewhere[:3])}?"
+    return f"known keys here: {', '.join(known)}"
+
+
+def _dotted_keys(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
+    for name, field in model.model_fields.items():
+        key = f"{prefix}{field.alias or name}"
+        yield key
+        if (inner := model_in(field.annotation)) is not None:
+            yield from _dotted_keys(inner, f"{key}.")
 
 
 def _keys_at(model: type[BaseModel], location: list[str]) -> set[str]:

@@ -191,6 +191,6 @@ def refuse(path: str, findings: Iterable[Finding]) -> None:
     """Raise :class:`EvidenceError` for the first finding that is against the input, if any."""
     for finding in doubts(findings):
         if finding.verdict is Verdict.AGAINST:
-            insist = f"or insist with --accept-doubt {finding.check}"
-            hint = f"{finding.hint}, {insist}" if finding.hint else insist
+            accept_it = f"to accept it: --accept-doubt {finding.check}"
+            hint = f"{finding.hint}; {accept_it}" if finding.hint else accept_it
             raise EvidenceError(path, finding.problem, hint)

@@ -14,6 +14,7 @@ _OPTIONS = {
     "--columns": "columns",
     "--range": "range",
     "--range trajectory": "trajectory",
+    "--range origin": "origin",
     "--scanner": "scanner",
     "--sort-by-time": "order",
     "--layout": "layout",
@@ -22,7 +23,7 @@ _OPTIONS = {
 }
 """Options of the command line, and their keys of ``[input]``."""
 _NAMED = re.compile(
-    r"(?<![\w-])(--range trajectory|--[a-z-]+|-M)(?![\w-])|\binput\.([a-z_]+)|\b(layout)\b"
+    r"(?<![\w-])(--range (?:trajectory|origin)|--[a-z-]+|-M)(?![\w-])|\binput\.([a-z_]+)|\b(layout)\b"
 )
 _PARTS = re.compile(r"(?:; |, or )(?:else )?")
 

@@ -149,7 +149,7 @@ def as_markdown(comparison: Comparison, gates: Iterable[GateResult] = ()) -> str
         parts += _evaluation_blocks(comparison, shown)
     if gate_results := list(gates):
         rows = [[*gate_cells(gate), "passed" if gate.passed else "failed"] for gate in gate_results]
-        parts.append(_table(["gate", "demanded", "found", ""], rows))
+        parts.append(_table(["gate", "expected at least", "found", ""], rows))
     return "\n\n".join(parts) + "\n"
 
 

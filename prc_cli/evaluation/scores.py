@@ -302,7 +302,7 @@ def refuse_failed(results: Iterable[GateResult]) -> None:
     failed = [gate for gate in results if not gate.passed]
     if failed:
         problems = [
-            f"found {_found(gate.value)}, demanded at least {gate.limit:.4f}" for gate in failed
+            f"found {_found(gate.value)}, expected at least {gate.limit:.4f}" for gate in failed
         ]
         more = "; ".join(
             f"{gate.name}: {text}" for gate, text in zip(failed[1:], problems[1:], strict=True)

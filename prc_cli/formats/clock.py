@@ -131,7 +131,9 @@ class ClockSource(DerivedSource):
             notes.append(f"the times are in {self.unit} (input.time_unit)")
         if any(clock.n for clock in self._clocks):
             name = self._clocks[0].name
-            notes.append(f"the clock begins anew at the end of the {name}: later times count on")
+            notes.append(
+                f"the clock starts again at the end of the {name}: prc continues the times"
+            )
         return replace(facts, notes=(*facts.notes, *notes)) if notes else facts
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:

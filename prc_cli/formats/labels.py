@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from prc_cli.core.classes import ASPRS_NAMES, ClassCodes
 from prc_cli.core.errors import ConfigError, InputError, OutputError
 from prc_cli.core.files import open_to_read, suffix_of
-from prc_cli.formats.records import NO_CODE, CodeSource
+from prc_cli.formats.records import NO_CODE, CodeSource, nearest_first
 from prc_cli.formats.registry import Format, by_suffix
 from prc_cli.formats.writing.base import Columns, ScatterWriter
 from prc_cli.formats.writing.columns import LabelOutput, Values, asked_columns
@@ -75,6 +75,7 @@ def dimension_of_codes(path: Path, names: list[str], dimension: str | None) -> s
     shown = ", ".join(names[:40])
     if dimension is not None:
         if dimension not in names:
+            shown = ", ".join(nearest_first(names, dimension)[:40])
             raise ConfigError(
                 str(path), f"no dimension {dimension!r} in the file", f"it has: {shown}"
             )

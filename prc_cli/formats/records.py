@@ -7,8 +7,9 @@ all formats alike.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
@@ -115,8 +116,19 @@ def check_names(source: RecordSource, names: tuple[str, ...]) -> None:
     for name in names:
         if name not in known:
             raise ConfigError(
-                source.path, f"no dimension {name!r} in the file", f"it has: {listed(known)}"
+                source.path,
+                f"no dimension {name!r} in the file",
+                f"it has: {listed(nearest_first(known, name))}",
             )
+
+
+def nearest_first(names: Iterable[str], wanted: str) -> list[str]:
+    """Return names for a message, the most similar to a wrong name first.
+
+    >>> nearest_first(["x", "range", "intensity"], "intensty")
+    ['intensity', 'range', 'x']
+    """
+    return sorted(names, key=lambda name: -SequenceMatcher(None, wanted, name).ratio())
 
 
 def listed(names: Collection[str]) -> str:

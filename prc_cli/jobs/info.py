@@ -69,8 +69,8 @@ from prc_cli.streams.registered.spinning_drive import SpinningDrive
 from prc_cli.streams.rules import (
     MEASURED,
     NO_RANGES,
-    NO_RANGES_HINT,
     POINTS,
+    POINTS_HINT,
     is_timed_cloud,
     only_times_tell,
     trusting,
@@ -277,7 +277,7 @@ def _inspect_records(
         # prc computes a path from points only if the user asks for it
         lines = None if only_times_tell(source) else _lines_only(source, loaded.config.input)
         unread = _describe(path, source, lines, order, refusal, judged=False, with_ranges=False)
-        return replace(unread, problem=NO_RANGES, hint=NO_RANGES_HINT, missing=(POINTS,))
+        return replace(unread, problem=NO_RANGES, hint=POINTS_HINT, missing=(POINTS,))
     if stream is None:
         inspection = _describe(
             path,

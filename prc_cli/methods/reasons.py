@@ -103,7 +103,7 @@ RULES: dict[Reason, Rule] = {
         ("again.alone_m", "again.alone_gap_m", "again.alone_texture"),
     ),
     Reason.WALKED: Rule(
-        "at the height of the ground, and the walk along it went over it",
+        "at the height of the ground, and the search along the ground includes it",
         ("decision.walked_m", "walk.step_m"),
     ),
     Reason.LEVEL_LOW: Rule("low, and more level than upright", ("decision.level_m",)),

@@ -357,28 +357,23 @@ def order_hint(evidence: OrderEvidence, path: str = "", *, can_sort: bool) -> st
     """Return what to do with an input whose times are out of order."""
     if evidence.n_back == 1 and abs(evidence.largest_back - WEEK_S) < WEEK_S / 100:
         return (
-            "the GPS week turned over in this file: "
-            "the order may be right, then insist with --trust-order"
+            "the GPS week changes in this file; "
+            "if the records are in the order of the shots: --trust-order"
         )
     if evidence.unset is not None:
         of_records = (
-            f"the time {evidence.unset:g} comes {evidence.n_back} times, as where a record has none"
+            f"{evidence.n_back} records have the time {evidence.unset:g}, which may mean no time"
         )
-        return (
-            f"{of_records}: leave these records unclassified with --trust-order, or take them out"
-        )
+        return f"{of_records}; to leave them without a class: --trust-order, or remove them"
     if path.lower().endswith(".copc.laz"):
         # every node of the octree starts again
-        return "COPC files lie in the order of their octree: sort with --sort-by-time"
+        return "COPC files are in the order of their octree: sort with --sort-by-time"
     if evidence.begins_anew is not None:
-        again = f"the times from record {evidence.begins_anew} on were there before"
-        return (
-            f"{again}: split the file there, "
-            "or leave out what is repeated, or insist with --trust-order"
-        )
+        again = f"the times start again at record {evidence.begins_anew}"
+        return f"{again}: split the file there, or remove the copies; to accept it: --trust-order"
     if not can_sort:
-        return "write the lines in the order they were scanned, or insist with --trust-order"
-    return "sort with --sort-by-time if every record is there, or insist with --trust-order"
+        return "write the lines in the order of the scan; to accept this order: --trust-order"
+    return "if no record is missing: --sort-by-time; to accept this order: --trust-order"
 
 
 @dataclass(frozen=True, slots=True)

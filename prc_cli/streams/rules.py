@@ -14,10 +14,11 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from difflib import SequenceMatcher
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 
@@ -26,7 +27,13 @@ from prc_cli.core.facts import KnownRule, SourceFacts
 from prc_cli.core.stream import Assumption
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig, parse_rate
-from prc_cli.formats.records import STANDARD_NAMES, DerivedSource, RecordChunk, RecordSource
+from prc_cli.formats.records import (
+    STANDARD_NAMES,
+    DerivedSource,
+    RecordChunk,
+    RecordSource,
+    nearest_first,
+)
 from prc_cli.formats.sorting import sorted_by_time
 from prc_cli.streams.angles import (
     columns_of_angles,
@@ -52,14 +59,11 @@ from prc_cli.streams.ranges import (
 _NO_RANGE = "no slant range"
 _FIRED = frozenset(("range", "scan_line", "column", "angle", "time"))
 """Dimensions that tell of the shots."""
-LOST = (
-    "registered points without times, scan lines or ranges: "
-    "the order in which they were fired is lost, so they cannot be classified"
-)
+LOST = "the file has no times, scan lines or ranges, so the order of the shots is lost"
 LOST_HINT = (
-    "classify the raw drive and carry its labels over (prc transfer), "
-    "or give the points with their times; of x, y, z from the scanner: "
-    "--lines elevation:DEG with --range sensor-xyz; if they lie as fired insist with --trust-order"
+    "classify the raw drive and copy its labels (prc transfer); "
+    "if x, y, z are relative to the scanner: --lines elevation:DEG --range sensor-xyz; "
+    "if the points are in the order of the shots: --trust-order"
 )
 
 
@@ -192,7 +196,7 @@ def resolve_rules(
     if config.order == "require" and is_order_lost(source, config):
         raise OrderError(source.path, LOST, LOST_HINT)
     if is_timed_cloud(source, config):
-        raise InputError(source.path, NO_RANGES, NO_RANGES_HINT)
+        raise InputError(source.path, NO_RANGES, no_ranges_hint(source.path))
     if config.lines == "rings":
         problem = f"found 'rings', which {source.path} cannot be read by: it is no frame of x, y, z"
         raise ConfigError("input.lines", problem, "find lines in another way: --lines")
@@ -269,13 +273,10 @@ def _said(
         why = "lines that begin with missing shots shift; with --lines time:HZ they do not"
         yield Assumption("input.columns", "column 0 is the first return of each line", why)
     if config.columns == "order" and lines != "fixed":
-        why = "given; where shots are left out, the rest of the line moves up"
+        why = "given; if a shot is missing, the rest of its line moves up"
         yield Assumption("input.columns", "order", why)
     if lines.startswith("time:") and config.time_origin is None:
-        why = (
-            "line 0, column 0 is taken to be fired then: "
-            "the phase of the mirror is not in the input"
-        )
+        why = "assumed time of line 0, column 0: the input does not contain the phase of the mirror"
         yield Assumption("input.time_origin", "time of the first record", why)
     if config.return_ != "strongest" and "number_of_returns" not in has:
         why = "the input does not say how many returns a shot has: every record is a shot"
@@ -292,10 +293,21 @@ def is_timed_cloud(source: RecordSource, config: InputConfig) -> bool:
 NO_RANGES = "the file has no ranges"
 POINTS = "--range points"
 """The option that finds ranges from points and times."""
-NO_RANGES_HINT = (
-    f"{POINTS} finds the path of the scanner and the ranges from the points and their times; "
-    "if you have the path: --range trajectory:FILE"
+POINTS_HINT = (
+    f"compute the ranges from the points and their times ({POINTS}); "
+    "if you have the path of the scanner: --range trajectory:FILE"
 )
+
+
+def no_ranges_hint(path: str) -> str:
+    """Return the command that classifies points with times.
+
+    >>> no_ranges_hint("tile.laz").partition(";")[0]
+    'type: prc classify tile.laz out.laz --range points'
+    """
+    name = "FILE" if path == "stdin" else shlex.quote(path)
+    command = f"prc classify {name} out{Path(path).suffix} {POINTS}"
+    return f"type: {command}; if you have the path of the scanner: --range trajectory:FILE"
 
 
 def is_order_lost(source: RecordSource, config: InputConfig) -> bool:
@@ -347,7 +359,7 @@ def _auto_rules(
     return lines, columns, range_
 
 
-MEASURED = " measures rates from the times and writes the command; or "
+MEASURED = " measures the rates and prints the command; or "
 """Where a hint names ``prc info``; what follows is the rest of the hint."""
 
 
@@ -366,8 +378,8 @@ def _all_missing(
     if len(missing) == 1 or has_range:
         return _with_draft(source, missing[0])
     if not set(STANDARD_NAMES) & set(source.dimensions):
-        problem = f"nothing says what its columns are: {', '.join(source.dimensions[:12])}"
-        hint = "give a layout that names them (--layout FILE)"
+        problem = f"prc does not know these columns: {', '.join(source.dimensions[:12])}"
+        hint = "name them in a layout (--layout FILE)"
         return _with_draft(source, InputError(source.path, problem, hint))
     problem = "; ".join(error.problem for error in missing)
     hint = "; ".join(error.hint for error in missing)
@@ -384,9 +396,7 @@ def _with_draft(source: RecordSource, error: InputError) -> InputError:
     ):
         return error
     path = "FILE" if source.path == "stdin" else source.path
-    draft = (
-        f"or prc info {path} --draft FILE.toml, which looks at the numbers, and --config FILE.toml"
-    )
+    draft = f"or let prc guess: prc info {path} --draft FILE.toml, then --config FILE.toml"
     return InputError(source.path, error.problem, f"{error.hint}; {draft}")
 
 
@@ -445,17 +455,17 @@ def _auto_lines(
     if has_angle and has_sweeps(first(), source.path):
         why = "no dimension scan_line, but the scan angle runs in sweeps"
         return "angle-wrap", why + ("" if m is None else f", and they lack some of their {m} shots")
-    ways = ["-M NUMBER if no shot is left out", "--lines dimension:NAME"]
+    ways = ["-M NUMBER (shots per line)", "--lines dimension:NAME"]
     if "range" in source.dimensions:
-        ways[0] += " (prc info estimates it)"
+        ways[0] = "-M NUMBER (shots per line, see prc info)"
     if set(XYZ) <= set(source.dimensions) and config.range in ("auto", "sensor-xyz"):
         drop = "--lines elevation:DEG" + (
-            "" if config.range == "sensor-xyz" else " with --range sensor-xyz"
+            "" if config.range == "sensor-xyz" else " --range sensor-xyz"
         )
-        ways.append(f"{drop} (x, y, z from the scanner, line after line)")
+        ways.append(f"{drop} (x, y, z relative to the scanner)")
     if "time" in source.dimensions:
-        ways.append("--lines time:HZ (scan lines a second)")
-    problem = "no scan lines: the file has no dimension scan_line and points_per_line is not given"
+        ways.append("--lines time:HZ (lines per second)")
+    problem = "no scan lines: the file has no dimension scan_line, and -M is not given"
     raise InputError(source.path, problem, f"give {_either(ways)}")
 
 
@@ -473,13 +483,10 @@ def _auto_columns(source: RecordSource, lines: str, first: Callable[[], Table]) 
         if gives:
             return "angle", why
     if lines.startswith("time:"):
-        ways = ["--columns time:HZ (shots a second)", "--columns order if no shot is left out"]
-        problem = (
-            "no columns: the file has no dimension column, "
-            "and lines found by time say nothing of them"
-        )
+        ways = ["--columns time:HZ (shots per second)", "--columns order if no shot is missing"]
+        problem = "no columns: the file has no dimension column, and --columns is not given"
         raise InputError(source.path, problem, f"give {_either(ways)}")
-    return "order", f"{why}; where shots are left out, the rest of the line moves up"
+    return "order", f"{why}; if a shot is missing, the rest of its line moves up"
 
 
 def _has_sensor_xyz(source: RecordSource, range_: str, taken: list[Assumption]) -> bool:
@@ -507,7 +514,7 @@ def _auto_range(source: RecordSource) -> tuple[str, str]:
     if set(XYZ) <= set(source.dimensions):
         ways += [
             "--range origin:X,Y,Z (static scan)",
-            "--range sensor-xyz (coordinates of the sensor itself)",
+            "--range sensor-xyz (x, y, z relative to the scanner)",
         ]
     # the file's own dimensions are behind those of its format
     every = sorted(source.dimensions, key=lambda name: not _RANGE_WORD.search(name.lower()))
@@ -533,9 +540,7 @@ def _either(ways: list[str]) -> str:
 def _check_dimension(key: str, name: str, source: RecordSource) -> None:
     if name in source.dimensions:
         return
-    nearest = sorted(
-        source.dimensions, key=lambda dimension: -SequenceMatcher(None, name, dimension).ratio()
-    )
+    nearest = nearest_first(source.dimensions, name)
     problem = f"{source.path} has no dimension {name!r}"
     raise ConfigError(key, problem, f"it has: {', '.join(nearest)}" if nearest else "it has none")
 

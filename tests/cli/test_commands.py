@@ -262,7 +262,7 @@ def test_signs_of_wrong_rules_are_warned_of(prc: Prc, tmp_path: Path) -> None:
     result = prc("classify", source, tmp_path / "b2.npy", "-M", "20")
     assert (result.code, (tmp_path / "b2.npy").exists()) == (1, False)
     assert "33.3% of the records found no cell" in result.err
-    assert "or insist with --accept-doubt unplaced" in result.err
+    assert "to accept it: --accept-doubt unplaced" in result.err
     result = prc("classify", source, tmp_path / "b2.npy", "-M", "20", "--accept-doubt", "unplaced")
     assert (result.code, np.load(tmp_path / "b2.npy").size) == (0, 600)
     assert "warning" not in result.err

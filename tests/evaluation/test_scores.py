@@ -117,8 +117,8 @@ def test_passed_and_failed() -> None:
     with pytest.raises(GateError) as caught:
         refuse_failed(results)
     assert str(caught.value) == (
-        "accuracy: found 0.9869, demanded at least 1.0000; "
-        "recall.stem: found undefined (no such records), demanded at least 0.0000"
+        "accuracy: found 0.9869, expected at least 1.0000; "
+        "recall.stem: found undefined (no such records), expected at least 0.0000"
     )
     assert caught.value.exit_code == 3
 

@@ -86,7 +86,7 @@ def test_an_image_in_memory_is_judged_as_a_file_is() -> None:
     prc_cli.classify_ranges(shuffled[:80])
     few = street(400)[:, ::2]  # too few columns to measure their angles
     moves = load_config(options={"input": {"accept_doubts": ["standing"]}})
-    with pytest.warns(prc_cli.DoubtWarning, match="range_m: method: PRC as published was taken"):
+    with pytest.warns(prc_cli.DoubtWarning, match="range_m: method: prc chose PRC 2019"):
         prc_cli.classify_ranges(few, moves)
     thin = np.full((137, 18_000), np.nan, np.float32)
     thin[:, :POINTS_PER_LINE] = image

@@ -132,11 +132,7 @@ def test_coordinates_and_times_without_names(
     path = tmp_path / "tile.txt"
     np.savetxt(path, rows, fmt=f"%.{decimals}f")
     assert run("classify", path, tmp_path / "o.npy") == 1
-    assert (
-        capsys.readouterr()
-        .err.rstrip()
-        .endswith("--draft FILE.toml, which looks at the numbers, and --config FILE.toml")
-    )
+    assert capsys.readouterr().err.rstrip().endswith("--draft FILE.toml, then --config FILE.toml")
     assert run("info", path, "--draft", tmp_path / "draft.toml", "-q") == 0
     fields = tomllib.loads((tmp_path / "draft.toml").read_text(encoding="utf-8"))["layout"][
         "fields"

@@ -125,6 +125,7 @@ class ArrayStream:
             "order",
             "range",
             "trajectory",
+            "origin",
             "layout",
             "azimuth_step",
             "time_origin",
@@ -297,7 +298,7 @@ def _find_ranges(file: ArrayFile, config: InputConfig) -> tuple[str, str]:
         name = config.range.partition(":")[2]
         if name not in file.headers:
             raise InputError(
-                str(file.path), f"no array {name!r}, the file has: {shown}", "check input.range"
+                str(file.path), f"no array {name!r}, the file has: {shown}", "check --range"
             )
         return name, "input.range names it"
     if RANGE in file.headers:

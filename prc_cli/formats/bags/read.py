@@ -119,7 +119,7 @@ class BagStream:
             assumptions=tuple(assumed),
             facts=SourceFacts(
                 has_line_times=not lasers,
-                refuses=RULED_OUT | (frozenset() if self._takes_scale else {"range_scale"}),
+                refuses=self._refused(),
                 remedy=f"{_REMEDY}{_OR_ORIGIN if self._has_clouds else ''}",
                 has_returns=self._has_returns,
                 scanners=tuple(self._numbers) if len(self._numbers) > 1 else (),
@@ -128,6 +128,10 @@ class BagStream:
                 describe=self._describe,
             ),
         )
+
+    def _refused(self) -> frozenset[str]:
+        refused = RULED_OUT - {"origin"} if self._has_clouds else RULED_OUT
+        return refused if self._takes_scale else refused | {"range_scale"}
 
     def _describe(self) -> dict[str, str]:
         bag = self.bag

@@ -36,7 +36,7 @@ MAX_EVLRS = 100_000
 """Most extended VLRs: more is damage."""
 MAX_KEPT_EVLR_BYTES = 1 << 20
 """Longest extended VLR kept in memory; others may hold waveforms."""
-DAMAGED = "copy the file again or write it anew with the program that made it"
+DAMAGED = "copy the file again or write it again with the program that made it"
 COMPRESSED = 0x80
 """Bit of the format byte: the records are compressed."""
 WKT_BIT = 16

@@ -321,7 +321,9 @@ class LazRecords:
             contents = f"the {len(table)} LAZ chunks hold at most {n_until[-1]}"
             problem = f"the header promises {header.n_records} records, {contents}"
             raise InputError(
-                self._where, problem, "the header lies or records are lost; write the file anew"
+                self._where,
+                problem,
+                "the header is wrong or records are lost; write the file again",
             )
         n_used = int(np.searchsorted(n_until, header.n_records)) + 1
         first_record = np.concatenate(([0], n_until[: n_used - 1], [header.n_records])).astype(
@@ -678,5 +680,5 @@ def check_laz() -> str:
         back: U8 = np.empty_like(records)
         lazrs.LasZipDecompressor(memory, laszip).decompress_many(back.reshape(-1))
         if not np.array_equal(back, records):
-            raise OutputError(where, "the records that came back differ", "install lazrs anew")
+            raise OutputError(where, "the records that came back differ", "install lazrs again")
     return "1, 6, 10"

@@ -32,7 +32,7 @@ from prc_cli.formats.las.splice import LazContexts, contexts_of
 from prc_cli.formats.las.vlrs import find_crs
 from prc_cli.formats.names import angle_rules
 from prc_cli.formats.options import Layout
-from prc_cli.formats.records import RecordChunk, standard_first
+from prc_cli.formats.records import RecordChunk, nearest_first, standard_first
 
 CHUNK_RECORDS = 1 << 16
 """Records decoded at a time."""
@@ -120,9 +120,9 @@ class LasSource:
                 "the legacy count (byte 107) was taken"
             )
         if "time" in self._zero:
-            notes.append("gps_time is 0 throughout the first chunk: taken as no time")
+            notes.append("gps_time is 0 in the whole first chunk: the file has no times")
         if "angle" in self._zero:
-            notes.append("scan_angle is 0 throughout the first chunk: taken as no scan angle")
+            notes.append("scan_angle is 0 in the whole first chunk: the file has no scan angles")
         if self.header.n_unread_bytes and not self.header.n_unread_records:
             notes.append(
                 f"{self.header.n_unread_bytes} bytes follow the last record the header counts: "
@@ -179,7 +179,7 @@ class LasSource:
             raise ConfigError(
                 self.path,
                 f"no dimension {unknown[0]!r} in the file",
-                f"it has: {', '.join(fields)}",
+                f"it has: {', '.join(nearest_first(fields, unknown[0]))}",
             )
         decoded = self._decoded(names)
         first = next(decoded)

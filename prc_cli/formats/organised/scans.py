@@ -143,6 +143,7 @@ RULED_OUT = frozenset(
         "columns",
         "range",
         "trajectory",
+        "origin",
         "scanner",
         "order",
         "angle_start",

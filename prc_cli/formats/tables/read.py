@@ -16,7 +16,7 @@ from prc_cli.core.process import bounded
 from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.names import usual_names
 from prc_cli.formats.options import Layout, LayoutField, decode
-from prc_cli.formats.records import RecordChunk, RecordSource
+from prc_cli.formats.records import RecordChunk, RecordSource, nearest_first
 from prc_cli.formats.registry import by_suffix
 
 if TYPE_CHECKING:
@@ -259,7 +259,7 @@ def read_batches(path: Path, columns: Sequence[str]) -> Iterator[pa.RecordBatch]
 def _check_names(source: RecordSource, names: tuple[str, ...]) -> None:
     unknown = [name for name in names if name not in source.dimensions]
     if unknown:
-        known = ", ".join(source.dimensions[:40])
+        known = ", ".join(nearest_first(source.dimensions, unknown[0])[:40])
         raise ConfigError(
             source.path, f"no dimension {unknown[0]!r} in the file", f"it has: {known or 'none'}"
         )

@@ -275,12 +275,12 @@ def _rules_of_file(
     if rules:
         notice = (
             "the classes of the file are taken, without heights above the ground; "
-            "--method classifies it anew"
+            "--method classifies it again"
         )
         return rules, notice
     if not codes_of_file - {0, table.unclassified}:
         return {}, ""
-    return {}, f"the file has classes, but none of: {', '.join(labels)}; it is classified anew"
+    return {}, f"the file has classes, but none of: {', '.join(labels)}; it is classified again"
 
 
 class _ObjectRun:

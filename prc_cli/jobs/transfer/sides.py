@@ -16,7 +16,7 @@ from prc_cli.formats.labels import open_codes
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.las.vlrs import same_crs
 from prc_cli.formats.options import Layout
-from prc_cli.formats.records import RecordSource
+from prc_cli.formats.records import RecordSource, nearest_first
 from prc_cli.formats.registry import by_suffix, format_of
 from prc_cli.jobs.coordinates import placed_source
 from prc_cli.jobs.transfer.options import TransferOptions
@@ -261,7 +261,7 @@ def _demand_key(source: RecordSource, rule: KeyRule) -> None:
 def _demand_dimensions(source: RecordSource, names: tuple[str, ...]) -> None:
     for name in names:
         if name not in source.dimensions:
-            shown = ", ".join(source.dimensions[:40]) or "nothing"
+            shown = ", ".join(nearest_first(source.dimensions, name)[:40]) or "nothing"
             raise ConfigError(source.path, f"no dimension {name!r} in the file", f"it has: {shown}")
 
 

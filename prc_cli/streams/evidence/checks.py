@@ -80,10 +80,14 @@ def check_thinned(dropped: str) -> tuple[Finding, ...]:
     """
     if not dropped:
         return ()
-    hint = "classify the file it was made from, and thin afterwards"
+    hint = "classify the original file, then thin it"
     return (
         Finding(
-            "thinned", Verdict.DOUBTFUL, dropped, "every shot: classes follow from neighbours", hint
+            "thinned",
+            Verdict.DOUBTFUL,
+            dropped,
+            "every shot, because classes depend on neighbours",
+            hint,
         ),
     )
 
@@ -104,7 +108,7 @@ def check_few_lines(n_lines: int, n_shots: int) -> Iterator[Finding]:
         else f"all {n_shots:,} shots are in one scan line"
     )
     is_lineless = n_lines <= 1 and n_shots >= LONGEST_LINE
-    hint = "tell the lines in another way: --lines dimension:NAME, time:HZ or elevation:DEG, or -M"
+    hint = "find the lines in another way: --lines dimension:NAME, time:HZ or elevation:DEG, or -M"
     verdict = verdict_of(doubtful=n_lines < LEAST_LINES, against=is_lineless)
     yield Finding("few-lines", verdict, measured, f"at least {LEAST_LINES} lines", hint)
 
@@ -137,10 +141,10 @@ def check_collisions(seen: Seen) -> Finding | None:
     if share is None:
         return None
     of_rings = any(assumption.key == "input.azimuth_step" for assumption in seen.info.assumptions)
-    measured = f"{share:.1%} of the records met another shot in their cell"
+    measured = f"{share:.1%} of the records are in the cell of another shot"
     hint = "check --lines, --columns and -M; several scanners in one file: --scanner DIMENSION"
     if of_rings:
-        hint = "one frame a file; or give the angle between lines: --set input.azimuth_step=DEGREES"
+        hint = "write one frame per file; or give the angle between lines: --set input.azimuth_step=DEGREES"
     many = MANY_OF_RINGS if of_rings else MANY
     return Finding(
         "collisions",
@@ -156,7 +160,7 @@ def check_unplaced(seen: Seen) -> Finding | None:
     share = _share(seen, seen.tally.n_unplaced)
     if share is None:
         return None
-    measured = f"{share:.1%} of the records found no cell and stay unclassified"
+    measured = f"{share:.1%} of the records have no cell and stay unclassified"
     hint = "check --lines, --columns and -M; if the recording started again: split the file there"
     facts = seen.info.facts
     if "lines" in facts.refuses and not facts.has_line_times:
@@ -183,10 +187,10 @@ def check_left_out(seen: Seen) -> Finding | None:
     share = _share(seen, max(n_lacking, 0))
     if share is None or not by_order or seen.n_shots <= tally.n_records - tally.n_extra_returns:
         return None
-    measured = f"columns are by order, but lines lack {share:.1%} of the shots of the longest"
+    measured = f"columns are by order, but lines lack {share:.1%} of the shots of the longest line"
     hint = (
-        "name what tells columns: --columns time:HZ (shots a second), dimension:NAME, "
-        "or angle if fine enough"
+        "find the columns in another way: --columns time:HZ (shots per second), "
+        "dimension:NAME or angle"
     )
     return Finding(
         "left-out", verdict_of(doubtful=share > MANY), measured, f"at most {MANY:.0%}", hint
@@ -233,8 +237,7 @@ def check_unread(seen: Seen) -> Finding | None:
     if not seen.info.facts.unread:
         return None
     hint = (
-        "they are not labelled: mend the counts of the header, for example with LAStools: "
-        "lasinfo -i FILE -repair"
+        "they get no labels; repair the header, for example with LAStools: lasinfo -i FILE -repair"
     )
     return Finding(
         "unread", Verdict.DOUBTFUL, seen.info.facts.unread, "a header that counts all records", hint
@@ -256,7 +259,9 @@ def check_missing_code(seen: Seen) -> Finding | None:
         CODED < share < NOTHING_ELSE and len(others) > 0 and longest > 2 * float(np.median(others))
     )
     option = f"--max-range {np.nextafter(np.float32(longest), np.float32(0)):.9g}"
-    hint = f"if it stands for no return: {option}; else the scanner's reach cuts the scene off"
+    hint = (
+        f"if it means no return: {option}; else the scene is larger than the range of the scanner"
+    )
     return Finding(
         "missing-code",
         verdict_of(doubtful=is_code),
@@ -308,9 +313,9 @@ def check_rounding(seen: Seen) -> Finding | None:
     measured = (
         f"all ranges are multiples of {step:.3g} m"
         if is_rounded
-        else "the ranges are finer than any threshold"
+        else "the steps of the ranges are smaller than any threshold"
     )
-    hint = "take the ranges from a file that was not rounded; check the scale of the layout"
+    hint = "use a file with ranges that are not rounded; check the scale of the layout"
     return Finding(
         "rounding",
         verdict_of(doubtful=is_rounded and step > COARSE_M),
@@ -329,7 +334,7 @@ def check_ranges(seen: Seen) -> Finding | None:
     median = float(np.median(known))
     measured = (
         f"the median range is {median:.4g} m, "
-        f"and {far:.2%} of the ranges lie beyond {FAR_M / 1000:g} km"
+        f"and {far:.2%} of the ranges are beyond {FAR_M / 1000:g} km"
     )
     expected = f"{NEAR_M:g} to {HIGH_M:g} m, and at most {COUNTED:.0%} that far"
     hint = (
@@ -342,7 +347,7 @@ def check_ranges(seen: Seen) -> Finding | None:
     is_far_off = median > HIGH_M and bool(high < NARROW * low)
     if is_far_off:
         hint = (
-            "x, y, z seem to be in another frame than that of the scanner: "
+            "x, y, z seem not to be relative to the scanner: "
             "--range origin:X,Y,Z or trajectory:FILE"
         )
     for unit, scale in (("millimetres", 0.001), ("kilometres", 1000.0)):
@@ -367,9 +372,7 @@ def check_ranges(seen: Seen) -> Finding | None:
 
 BY_PLACE = ("units", "down", "angle-step")
 """Checks that a wrong trajectory fails first of all."""
-LATE = (
-    "look at the trajectory: its clock (input.trajectory_time_offset), its frame and its lever arm"
-)
+LATE = "check the trajectory: its clock (input.trajectory_time_offset), its frame and its lever arm"
 OTHER_UNIT = "if x, y, z and the trajectory are in another unit: "
 
 
@@ -448,8 +451,7 @@ def check_few_rings(seen: Seen) -> Finding | None:
         )
     )
     hint = (
-        "ground, vegetation and noise are found all the same; "
-        "cars, and walls that few rings see, are not"
+        "expect missing cars and far walls; labels of ground, vegetation and noise are not affected"
     )
     verdict = verdict_of(doubtful=n < seen.least_rings)
     return Finding("few-rings", verdict, f"{n} rings", f"at least {seen.least_rings}", hint)

@@ -76,7 +76,7 @@ def check_cones(seen: Seen) -> Finding | None:
     if is_elsewhere:
         measured += (
             f", by {math.degrees(fitted):.2g} deg around another axis or point, "
-            "which a sector tells only roughly"
+            "which a sector shows only roughly"
         )
     hint = "give x, y, z in the scanner's own frame: z along its axis, 0 at the scanner"
     verdict = verdict_of(doubtful=is_elsewhere or fitted > NO_CONES_RAD)

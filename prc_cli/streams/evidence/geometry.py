@@ -104,7 +104,7 @@ def check_down(seen: Seen) -> Finding | None:
         return Finding(
             DOWN,
             Verdict.FINE,
-            f"the ranges do not tell where level ground is ({_shown(guess)})",
+            f"the ranges do not show level ground clearly ({_shown(guess)})",
             expected,
         )
     off = abs(math.remainder(guess.down_rad, 2 * math.pi))
@@ -116,7 +116,7 @@ def check_down(seen: Seen) -> Finding | None:
         measured = (
             f"level ground is elsewhere in {n_off} of {len(seen.windows)} samples along the drive"
         )
-        hint = "check whether the scanner was moved, or parts of the file are of another scanner"
+        hint = "check whether the scanner was moved, or the file contains two scanners"
     return Finding(DOWN, verdict, measured, expected, hint)
 
 
@@ -138,7 +138,7 @@ def _corrected(seen: Seen, guess: DownGuess) -> str:
     step = wrap(np.diff(seen.beam_rad)) * wrap(np.diff(seen.angle_rad))
     away = away if np.sign(step).sum() >= 0 else -away
     nadir = math.degrees(math.remainder(float(seen.angle_rad[nearest]) + away, 2 * math.pi))
-    return f"give input.nadir, or where the ground is right --set input.nadir={nadir + 0.0:.0f}"
+    return f"give input.nadir; if that is the ground: --set input.nadir={nadir + 0.0:.0f}"
 
 
 def _n_elsewhere(seen: Seen, beam_rad: F64, scale: float) -> int:
@@ -165,14 +165,12 @@ def check_angle_step(seen: Seen) -> Finding | None:
         measured_text = (
             f"the angles of a line span {math.degrees(float(np.ptp(seen.angle_rad))):.3g} deg"
         )
-        hint = (
-            f"if they are radians, name them angle_rad; if they are of another scale: {_MEASURED}"
-        )
+        hint = f"if they are radians, name them angle_rad; if they have another scale: {_MEASURED}"
         return Finding(
             ANGLE_STEP,
             Verdict.AGAINST,
             measured_text,
-            "degrees: the numbers of a turn in radians span 6.28",
+            "degrees (a turn in radians spans 6.28)",
             hint,
         )
     step_rad = None if seen.beam_rad is None else _even_step(seen.beam_rad)
@@ -185,8 +183,7 @@ def check_angle_step(seen: Seen) -> Finding | None:
             f"{math.degrees(step_rad):.4g} deg a shot"
         )
         expected = (
-            f"± {MOST_OFF:.0%}: 5 % off costs 0.02 of the mean F1 of streets, "
-            "20 % 0.11, and in forests 0.43"
+            f"± {MOST_OFF:.0%} (20 % off lowers the mean F1 by 0.11 in streets, 0.43 in forests)"
         )
         hint = "give the step of the scanner: --set input.angle_start=0 --set input.angle_step=DEG"
         return Finding(ANGLE_STEP, Verdict.DOUBTFUL, measured_text, expected, hint)
@@ -198,10 +195,10 @@ def check_angle_step(seen: Seen) -> Finding | None:
     verdict = verdict_of(
         doubtful=is_doubtful, against=is_doubtful and not 1 / FAR_FACTOR < factor < FAR_FACTOR
     )
-    measured_text = f"the ranges show {factor:.2f} times the angle from shot to shot that is in use"
+    measured_text = f"the ranges show {factor:.2f} times the angle from shot to shot in use"
     shown = f"{math.degrees(measured.step_rad):.4g} deg, known to {measured.off:.1%}"
     hint = "check the angles of the shots: input.angle_step, and -M where it was computed from M"
-    hint += f"; to use those that the ranges show: {_MEASURED}"
+    hint += f"; to use the angles that the ranges show: {_MEASURED}"
     hint = hint if verdict else ""
     expected = f"{1 - MOST_DOUBTLESS:g} to {1 + MOST_DOUBTLESS:g}"
     return Finding(ANGLE_STEP, verdict, f"{measured_text} ({shown})", expected, hint)
@@ -262,7 +259,7 @@ def check_height(seen: Seen) -> Finding | None:
     best = min(scales, key=lambda scale: abs(math.log(scale * depth / USUAL_M)), default=None)
     option = f"--set input.range_scale={best:g}" if best else ""
     hint = (
-        f"check the unit of the ranges, which are taken for metres: {option or 'input.range_scale'}"
+        f"check the unit of the ranges, assumed to be metres: {option or 'input.range_scale'}"
         if verdict
         else ""
     )

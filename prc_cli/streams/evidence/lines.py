@@ -61,7 +61,7 @@ from prc_cli.streams.evidence.periods import WEAK_PERIOD, estimate_points_per_li
 from prc_cli.streams.evidence.table import verdict_of
 
 _ORDER_HINT = (
-    "check the layout (byte order, types, header bytes), or sort the shots as they were fired"
+    "check the layout (byte order, types, header bytes), or sort the shots by firing order"
 )
 
 
@@ -88,10 +88,10 @@ def check_shot_order(figures: Figures) -> Finding | None:
             f"than the next ({figures.shot[0]:.2g})"
         )
         hint = (
-            "two scanners or several returns alternate: "
-            "split them with --scanner, or give the return number"
+            "if two scanners alternate: --scanner DIMENSION; "
+            "if several returns alternate: give the return number"
         )
-        return Finding(name, Verdict.AGAINST, measured, "neighbours more alike than others", hint)
+        return Finding(name, Verdict.AGAINST, measured, "neighbours that are the most alike", hint)
     verdict = verdict_of(doubtful=ratio >= ORDER_DOUBTFUL, against=ratio >= ORDER_AGAINST)
     return Finding(name, verdict, measured, expected, _ORDER_HINT)
 
@@ -138,7 +138,7 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
         better = _next_alike(seen, list(folded)) or better
     if better != m and gain >= (FOLD_DOUBTFUL if is_long else FOLD_SHORT):
         measured = (
-            f"along the stream lines of {better} shots agree {gain:.2g} times better than "
+            f"along the stream, lines of {better} shots agree {gain:.2g} times better than "
             f"lines of {m}"
         )
         verdict = verdict_of(doubtful=True, against=gain >= FOLD_AGAINST and is_long)
@@ -147,8 +147,7 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
     hint = "check -M and --lines, and whether lines and columns are exchanged"
     if folded[m] > FOLD_RANDOM:
         measured = (
-            "lines far apart have nothing in common, not even the ground: "
-            f"they differ by {folded[m]:.2g}"
+            f"lines far apart differ by {folded[m]:.2g}, so not even the ground is in one place"
         )
         verdict = verdict_of(doubtful=True, against=folded[m] > FOLD_NOTHING)
         return Finding(name, verdict, measured, f"at most {FOLD_RANDOM:g}", hint)
@@ -191,7 +190,7 @@ def check_columns_along(seen: Seen, turned: Turned | None) -> Finding | None:
     expected = f"at least {TURNED:g} times"
     if not is_shifted(turned, seen.points_per_line):
         measured = (
-            "no single shift of all columns makes places along the stream differ less than "
+            "no shift of all columns makes places along the stream differ less than "
             f"{turned.gain:.2g} times"
         )
         return Finding("columns-along", Verdict.FINE, measured, expected)
@@ -200,7 +199,7 @@ def check_columns_along(seen: Seen, turned: Turned | None) -> Finding | None:
         f"before line {turned.line} all columns shift by {n_shots} shots "
         f"({turned.gain:.2g} times the difference)"
     )
-    hint = "shots were lost or added there: split the file, or restore them"
+    hint = "shots were lost or added there: split the file there"
     verdict = verdict_of(doubtful=True, against=turned.gain < TURNED_AGAINST)
     return Finding("columns-along", verdict, measured, expected, hint)
 
@@ -210,10 +209,7 @@ def check_noise(seen: Seen, figures: Figures) -> Finding | None:
     if not np.isfinite(seen.most_noise_m) or not np.isfinite(figures.noise_m):
         return None
     measured = f"ranges have noise of about {figures.noise_m:.3f} m"
-    hint = (
-        "the thresholds of this method are for less: "
-        "widen them (prc calibrate), or take another method"
-    )
+    hint = "widen the thresholds of this method (prc calibrate), or choose another method"
     verdict = verdict_of(doubtful=figures.noise_m > seen.most_noise_m)
     return Finding("range-noise", verdict, measured, f"at most {seen.most_noise_m:g} m", hint)
 
@@ -322,13 +318,8 @@ def check_line_order(seen: Seen, figures: Figures) -> Finding | None:
     """Check whether the scene changes along the stream, but not from line to line."""
     near, far = figures.moved
     if figures.again > SEEN_AGAIN and seen.n_lines >= STANDING_LINES and not _is_fan(seen):
-        measured = (
-            f"{figures.again:.0%} of the shots unlike their neighbours come again in the next line"
-        )
-        hint = (
-            "the platform stands again and again, or lines are copies: "
-            "cut such stretches out, or accept them"
-        )
+        measured = f"{figures.again:.0%} of the shots unlike their neighbours are repeated in the next line"
+        hint = "the platform stops often, or lines are copies: remove such stretches"
         return Finding("standing", Verdict.DOUBTFUL, measured, f"at most {SEEN_AGAIN:.0%}", hint)
     if seen.n_lines < LEAST_LINES or not near > 0 or not np.isfinite(far):
         return None
@@ -339,9 +330,9 @@ def check_line_order(seen: Seen, figures: Figures) -> Finding | None:
     if is_standing:
         doubtful = ratio < MOVED_SAME and seen.n_lines >= STANDING_LINES
         expected = f"{expected} in {STANDING_LINES} lines or more"
-        hint = "the platform stands: cut such stretches out, or accept them"
+        hint = "the platform does not move: remove such stretches"
         return Finding("standing", verdict_of(doubtful=doubtful), measured, expected, hint)
-    hint = "put the lines into the order in which they were scanned; in dense snow or fog accept it"
+    hint = "sort the lines by time of scan; in dense snow or fog, accept the check"
     verdict = verdict_of(doubtful=ratio < MOVED_SAME, against=ratio < MOVED_AGAINST)
     return Finding("line-order", verdict, measured, expected, hint)
 
@@ -350,9 +341,9 @@ def check_dropouts(figures: Figures) -> Finding | None:
     """Check whether shots are lost where surfaces are smooth."""
     if figures.n_between < LEAST_PAIRS:
         return None
-    measured = f"{figures.lonely_missing:.1%} of the shots amid smooth surfaces are missing"
+    measured = f"{figures.lonely_missing:.1%} of the shots on smooth surfaces are missing"
     hint = (
-        "check whether records were lost or filtered out; isolated gaps cost classes at their edges"
+        "check whether records were lost or filtered; labels at the edges of gaps are less reliable"
     )
     verdict = verdict_of(doubtful=figures.lonely_missing > LONELY)
     return Finding("dropouts", verdict, measured, f"at most {LONELY:.1%}", hint)

@@ -208,21 +208,21 @@ class RangeCorrelation:
     def verdict(self) -> str:
         """Return the finding as a sentence."""
         if not np.isfinite(self.ratio):
-            return f"{self.n_pairs} neighbouring ranges are too few, or too alike, to tell"
+            return f"{self.n_pairs} neighbouring ranges are too few, or too similar, to judge"
         if self.ratio < 0.3:
             said = (
-                "neighbouring shots have near ranges",
-                "as expected of shots in the order they were fired",
+                "neighbouring shots have similar ranges",
+                "as expected in the order of firing",
             )
         elif self.ratio < 0.7:
             said = (
                 "neighbouring ranges are only loosely alike",
-                "the order may be disturbed, or the scene very rough",
+                "the order may be wrong, or the scene very rough",
             )
         else:
             said = (
-                "neighbouring ranges are as unlike as random pairs",
-                "the order carries no spatial correlation",
+                "neighbouring ranges differ as much as random pairs",
+                "the records are not in the order of firing",
             )
         return f"{said[0]} (ratio {self.ratio:.2g}): {said[1]}"
 

@@ -82,7 +82,7 @@ def place_of(range_m: F32, beam_rad: F64) -> Place:
     step = float(np.median(steps)) if len(steps) else 0.0
     k = max(round(REACH_RAD / step), 1) if step > 0 else 1
     if range_m.shape[1] <= 2 * k:
-        return Place("unknown", "the lines are too short to tell a street from a forest")
+        return Place("unknown", "the lines are too short to show a street or a forest")
     middle_m = range_m[:, k:-k].astype(np.float64)
     beam = beam_rad[k:-k]
     joined, smooth = _smooth(range_m, beam_rad, k, step)
@@ -92,7 +92,7 @@ def place_of(range_m: F32, beam_rad: F64) -> Place:
     n_high = int(np.count_nonzero(high))
     if n_low < LEAST_LOW:
         return Place(
-            "unknown", "too few neighbouring shots lie on the ground to tell a street from a forest"
+            "unknown", "too few neighbouring shots are on the ground to show a street or a forest"
         )
     floor = int(np.count_nonzero(low & smooth)) / n_low
     reason = f"{100 * floor:.0f} % of the ground is smooth"
@@ -105,9 +105,9 @@ def place_of(range_m: F32, beam_rad: F64) -> Place:
             if abs(floor - limit) < CLOSE_SCORE
             else ""
         )
-        return Place(kind, f"{reason}, and nothing stands high", bool(doubt), doubt)
+        return Place(kind, f"{reason}, and no object is above the scanner", bool(doubt), doubt)
     standing = int(np.count_nonzero(high & smooth)) / n_high
-    reason += f", and {100 * standing:.0f} % of what stands higher than the scanner"
+    reason += f", and {100 * standing:.0f} % of the objects above the scanner"
     score = floor + standing / 3
     kind = "street" if standing >= BUILT_SHARE else "unknown"
     if score < FOREST_SCORE:
@@ -116,13 +116,11 @@ def place_of(range_m: F32, beam_rad: F64) -> Place:
     doubt = ""
     if off < CLOSE_SCORE:
         doubt = (
-            f"the first and a third of the second are {score:.2f}, "
-            f"forests have less than {FOREST_SCORE:.2f}"
+            f"the first plus a third of the second is {score:.2f}, "
+            f"near the limit of forests ({FOREST_SCORE:.2f})"
         )
     elif kind == "unknown":
-        doubt = (
-            f"forests have less smooth ground, streets at least {BUILT_SHARE:.0%} of what stands"
-        )
+        doubt = f"forests have less smooth ground, streets more smooth objects ({BUILT_SHARE:.0%})"
     return Place(kind, reason, off < OPEN_SCORE or kind == "unknown", doubt)
 
 
@@ -177,5 +175,5 @@ def place_of_blocks(blocks: Iterator[ScanBlock]) -> Place:
         if len(rows) == MOST_LINES or most <= block.n_lines:
             break
     if beam_rad is None or not rows:
-        return Place("unknown", "there are no returns to tell a street from a forest")
+        return Place("unknown", "there are no returns to show a street or a forest")
     return place_of(np.stack(rows), beam_rad)

@@ -74,13 +74,10 @@ def check_repeats(repeats: LineRepeats, of_recording: str = "") -> Finding:
     """Check whether lines come twice; ``of_recording`` names the repeats in the recording."""
     n = repeats.n_repeated
     if of_recording:
-        hint = (
-            "the first of each was classified, the others have no class: "
-            "record every topic or port once"
-        )
+        hint = "only the first copy was classified; record every topic or port once"
         return Finding("repeated-lines", Verdict.DOUBTFUL, of_recording, "each once", hint)
     measured = f"{'about ' if n else ''}{n:,} lines are copies of earlier lines, shot by shot"
-    hint = "leave out the part that is there twice"
+    hint = "remove the repeated part"
     return Finding(
         "repeated-lines",
         verdict_of(doubtful=n >= LEAST_REPEATED),

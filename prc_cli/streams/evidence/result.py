@@ -57,12 +57,10 @@ WHOLE = 0.8
 LONG_STRETCHES = 3
 """Stretches in a row that make a long one: a tenth to a fifth of a long stream."""
 
-_LOOK_FOR_DOWN = "look where down is: prc info; or give it with --set input.nadir=DEG"
+_LOOK_FOR_DOWN = "check where down is: prc info; or give it: --set input.nadir=DEG"
 _UP_KEY = "rings.up"
-_NO_STREET = (
-    "a room, or one thing, has neither ground nor buildings nor cars; leave such stretches out"
-)
-_LOOK_AT_INPUT = "look at the order of the shots, M and the unit of the ranges: prc info"
+_NO_STREET = "fused is for scans outdoors; remove stretches indoors"
+_LOOK_AT_INPUT = "check the order of the shots, M and the unit of the ranges: prc info"
 
 
 class _Kept:
@@ -247,9 +245,7 @@ def _noise(
 
 def _both_level() -> Finding:
     """Return the warning that the floor and the ceiling could be exchanged."""
-    measured = (
-        "a level surface below the scanner, and a larger one above it; z is assumed to point up"
-    )
+    measured = "a larger level surface is above the scanner than below it, if z points up"
     option = f"--set {_UP_KEY}=z"
     hint = f"if z points up: {option}; if it points down: --set {_UP_KEY}=-z"
     return Finding(
@@ -368,7 +364,7 @@ def _nadir(sample: _Sample, lean_rad: float) -> str:
         return _LOOK_FOR_DOWN
     nearest = int(np.argmin(np.abs(sample.beam_rad - lean_rad)))
     level_deg = math.degrees(sample.angle_rad[nearest])
-    return f"it would be level with --set input.nadir={level_deg:.1f}; look where down is: prc info"
+    return f"to make it level: --set input.nadir={level_deg:.1f}; check where down is: prc info"
 
 
 def _below_ground(scene: _Scene, usual: UsualLabels) -> Iterator[Finding]:
@@ -394,7 +390,7 @@ def _below_ground(scene: _Scene, usual: UsualLabels) -> Iterator[Finding]:
         return
     share = n_below / n_near
     measured = (
-        f"{_percent(share)} of the returns within 20 m and 60 deg of down lie more than 1 m "
+        f"{_percent(share)} of the returns within 20 m and 60 deg of down are more than 1 m "
         "below the ground"
     )
     verdict = verdict_of(doubtful=share > usual.below_share)
@@ -420,7 +416,7 @@ def _along(
         counts: F64 = rows.reshape(n, STRETCH_LINES).sum(axis=1).astype(np.float64)
         return counts
 
-    expected = "ground and little noise all along"
+    expected = "ground and little noise along the whole stream"
     ground = _share(per_stretch(below & level), per_stretch(below))
     noisy = _share(per_stretch(noise), per_stretch(there))
     known = ground[np.isfinite(ground)]
@@ -431,7 +427,7 @@ def _along(
     for bad, said, verdict in (
         (ground < usual.vanished_share * usually, "hardly any ground", Verdict.DOUBTFUL),
         (is_noisy & ~is_whole, "much noise", Verdict.DOUBTFUL),
-        (is_noisy, "much noise between whole surfaces", Verdict.FINE),
+        (is_noisy, "much noise between complete surfaces", Verdict.FINE),
     ):
         first, length = longest_run(bad)
         # where all is noise, it is not a stretch that is odd
@@ -439,7 +435,7 @@ def _along(
             continue
         start = int(sample.line[first * STRETCH_LINES])
         stop = int(sample.line[(first + length + LONG_STRETCHES - 1) * STRETCH_LINES - 1]) + 1
-        hint = f"look at them: prc render IN OUT.png --only-lines {start}:{min(start + 500, stop)}"
+        hint = f"to see these lines: prc render IN OUT.png --only-lines {start}:{min(start + 500, stop)}"
         yield Finding(
             "classes-along", verdict, f"{said} in lines {start} to {stop}", expected, hint
         )

@@ -211,7 +211,7 @@ def judge(
             passed.residual_m,
             MOST_RESIDUAL_M,
             WORST_RESIDUAL_M,
-            f"{when}points lie {passed.residual_m:.3f} m off their beams (median)",
+            f"{when}points are {passed.residual_m:.3f} m off their beams (median)",
             f"at most {MOST_RESIDUAL_M} m",
             f"the times may be rounded, or the points moved after the drive; {_HINT_TRAJECTORY}",
         )
@@ -219,7 +219,7 @@ def judge(
             1.0 - passed.share_on_beam,
             1.0 - LEAST_ON_BEAM,
             1.0 - WORST_ON_BEAM,
-            f"{when}{1.0 - passed.share_on_beam:.0%} of the points lie on no beam of the scanner",
+            f"{when}{1.0 - passed.share_on_beam:.0%} of the points are on no beam of the scanner",
             f"at most {1.0 - LEAST_ON_BEAM:.0%}",
             "if several scanners are merged: --scanner DIMENSION; else " + _HINT_TRAJECTORY,
         )
@@ -227,7 +227,7 @@ def judge(
             1.0 - passed.share_in_front,
             1.0 - LEAST_IN_FRONT,
             0.3,
-            f"{when}{1.0 - passed.share_in_front:.0%} of the points lie behind the scanner",
+            f"{when}{1.0 - passed.share_in_front:.0%} of the points are behind the scanner",
             f"at most {1.0 - LEAST_IN_FRONT:.0%}",
             _HINT_TRAJECTORY,
         )
@@ -237,24 +237,24 @@ def judge(
             WORST_SPEED_M_S,
             f"{when}the scanner moves at {passed.top_speed_m_s:.0f} m/s",
             f"at most {MOST_SPEED_M_S:.0f} m/s",
-            "look at the coordinates: their unit, or parts that were moved; " + _HINT_TRAJECTORY,
+            "check the coordinates: their unit, and parts that were moved; " + _HINT_TRAJECTORY,
         )
         worst.ask(
             passed.share_bridged,
             MOST_BRIDGED,
             0.9,
-            f"{when}{passed.share_bridged:.0%} of the lines do not tell where the scanner was "
+            f"{when}{passed.share_bridged:.0%} of the lines do not show the place of the scanner "
             f"(within {BRIDGED_M} m)",
             f"at most {MOST_BRIDGED:.0%}",
-            "open ground tells too little; " + _HINT_TRAJECTORY,
+            "open ground has too few objects; " + _HINT_TRAJECTORY,
         )
         worst.ask(
             passed.share_holes,
             MOST_HOLES,
             WORST_HOLES,
-            f"{when}{passed.share_holes:.0%} of the cells amid surfaces are empty",
+            f"{when}{passed.share_holes:.0%} of the cells on surfaces are empty",
             f"at most {MOST_HOLES:.0%}",
-            "the cloud was thinned or filtered: classify the cloud before that",
+            "the cloud was thinned or filtered: classify the original cloud",
         )
     share = n_unplaced / max(n_points, 1)
     worst.ask(
@@ -276,7 +276,7 @@ def no_stations(path: str, turning: Turning) -> EvidenceError:
         f"the beam turns {turning.hz:.5g} times a second, "
         "but its lines are too short or too few to place the scanner"
     )
-    hint = f"look at the unit of x, y, z; give a larger part of the drive; or {_HINT_TRAJECTORY}"
+    hint = f"check the unit of x, y, z; give a larger part of the drive; or {_HINT_TRAJECTORY}"
     return EvidenceError(path, problem, hint)
 
 
@@ -289,8 +289,8 @@ def no_rotation(path: str, rotation: Rotation | None) -> EvidenceError:
         reason += f"{1 - rotation.in_front:.0%} of them behind the scanner"
     problem = f"no rotation of a scanner fits the points and their times: {reason}"
     hint = (
-        "airborne scanners, several scanners merged, and times that are coarse cannot be read so; "
-        "give --scanner DIMENSION for several scanners, or --range trajectory:FILE"
+        "for several scanners: --scanner DIMENSION; "
+        "for airborne scanners or coarse times: --range trajectory:FILE"
     )
     return EvidenceError(path, problem, hint)
 

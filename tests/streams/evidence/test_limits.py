@@ -74,7 +74,7 @@ def test_shot_order(shot: float, ratio: str, verdict: Verdict) -> None:
         f"shot-order: ranges of neighbouring shots differ {ratio}as much as those of "
         "random shots, expected "
         "below 0.3; check the layout (byte order, types, header bytes), or sort the shots "
-        "as they were fired",
+        "by firing order",
         "",
     )
 
@@ -150,7 +150,7 @@ def test_another_length_that_agrees_better(
     assert answer[0] is verdict
     if verdict:
         assert answer[1:] == (
-            f"line-length: along the stream lines of {better} shots agree "
+            f"line-length: along the stream, lines of {better} shots agree "
             f"{here / there:.2g} times better than lines of "
             f"100, expected no length that agrees better by 1.05; give -M {better}",
             f"-M {better}",
@@ -174,9 +174,8 @@ def test_line_order(far: float, ratio: str, verdict: Verdict) -> None:
     figures = replace(USUAL, moved=(0.3, far), roughness=0.02)
     assert answer_of(check_line_order(seen(24), figures)) == (
         verdict,
-        f"line-order: {ORDER.format(ratio)}; put the lines into the order in which they "
-        "were scanned; "
-        "in dense snow or fog accept it",
+        f"line-order: {ORDER.format(ratio)}; sort the lines by time of scan; "
+        "in dense snow or fog, accept the check",
         "",
     )
 
@@ -205,8 +204,7 @@ def test_standing(
     if name == "standing":
         assert finding.sentence() == (
             f"standing: {ORDER.format('1' if far == 0.3 else '1.6')} in 200 lines or more; "
-            "the platform stands: cut "
-            "such stretches out, or accept them"
+            "the platform does not move: remove such stretches"
         )
 
 
@@ -235,13 +233,13 @@ def test_lost_and_meeting_records(n: int, verdict: Verdict, share: str) -> None:
     scan = counted(tally=ReadTally(n_records=1000, n_collisions=n, n_unplaced=n), n_shots=7)
     assert verdict_of_counts(check_collisions(scan)) == (
         verdict,
-        f"collisions: {share} of the records met another shot in their cell, expected at "
+        f"collisions: {share} of the records are in the cell of another shot, expected at "
         "most 1%; check --lines, "
         "--columns and -M; several scanners in one file: --scanner DIMENSION",
     )
     assert verdict_of_counts(check_unplaced(scan)) == (
         verdict,
-        f"unplaced: {share} of the records found no cell and stay unclassified, expected "
+        f"unplaced: {share} of the records have no cell and stay unclassified, expected "
         "at most 1%; check --lines, "
         "--columns and -M; if the recording started again: split the file there",
     )
@@ -281,8 +279,8 @@ def test_the_largest_range_as_a_code(n: int, usual_m: float, verdict: Verdict) -
     assert verdict_of_counts(finding) == (
         verdict,
         f"missing-code: {n / 10:.1f}% of the ranges are 100 m, the largest of all, "
-        "expected at most 1%; if it stands "
-        f"for no return: {option}; else the scanner's reach cuts the scene off",
+        "expected at most 1%; if it means no return: "
+        f"{option}; else the scene is larger than the range of the scanner",
     )
     assert finding is not None
     assert finding.option == (option if verdict else "")
@@ -359,7 +357,7 @@ def test_down_is_judged_by_the_angle(
         "times weaker), expected "
         "within 11 deg of the direction in use"
         + (
-            f"; give input.nadir, or where the ground is right --set input.nadir={nadir}"
+            f"; give input.nadir; if that is the ground: --set input.nadir={nadir}"
             if verdict
             else ""
         ),
@@ -392,11 +390,11 @@ def test_angle_step(
     step = AngleStep(math.radians(factor), off, 100)
     monkeypatch.setattr(geometry, "measure_step", lambda _: step)
     said = (
-        f"the ranges show {factor:.2f} times the angle from shot to shot that is in use "
+        f"the ranges show {factor:.2f} times the angle from shot to shot in use "
         f"({factor:.4g} deg, known to "
     )
     hint = "; check the angles of the shots: input.angle_step, and -M where it was computed from M"
-    hint += "; to use those that the ranges show: --set input.angles=measured"
+    hint += "; to use the angles that the ranges show: --set input.angles=measured"
     hint = hint if verdict else ""
     assert verdict_of_shots(check_angle_step(shots())) == (
         verdict,
@@ -441,6 +439,6 @@ def test_height(
     # the unit in which the depth would be usual
     scale = "=0.01" if depth_m >= 50.0 else "=0.3048" if depth_m > 5.0 else ""
     unit = f"--set input.range_scale{scale}" if scale else "input.range_scale"
-    hint = f"; check the unit of the ranges, which are taken for metres: {unit}" if verdict else ""
+    hint = f"; check the unit of the ranges, assumed to be metres: {unit}" if verdict else ""
     said = f"units: the scanner is {depth_m:.3g} m above the ground, expected {limits} m{hint}"
     assert verdict_of_shots(check_height(scan)) == (verdict, said)

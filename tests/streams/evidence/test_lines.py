@@ -192,7 +192,7 @@ def test_the_first_evidence_ends_a_long_stream() -> None:
                 yield block
 
     ranges = rng().permutation(np.tile(scan(), (16, 1)).ravel()).reshape(-1, M)
-    with pytest.raises(EvidenceError, match="or insist with --accept-doubt shot-order"):
+    with pytest.raises(EvidenceError, match="to accept it: --accept-doubt shot-order"):
         for _ in EvidenceStream(Long(ranges)).blocks():
             pass
     assert len(read) < len(ranges) / 100 / 2
