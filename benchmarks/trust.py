@@ -216,7 +216,7 @@ def typed_by(stderr: str) -> tuple[str, ...]:
 
     Those that insist or need more are none.
 
-    >>> typed_by("error: a.bin: found M = 20; give -M 10, or insist with --accept-doubt x")
+    >>> typed_by("error: a.bin: found M = 20; give -M 10; to accept it: --accept-doubt x")
     ('-M', '10')
     >>> typed_by("warning: down: ...; give it with --set input.nadir=DEG; or accept it")
     ()

@@ -257,18 +257,18 @@ def test_signs_of_wrong_rules_are_warned_of(prc: Prc, tmp_path: Path) -> None:
     source.write_text("\n".join(["scan_line,column,range", *rows]) + "\n")
     assert "warning" not in prc("classify", source, tmp_path / "a.npy").err
     result = prc("classify", source, tmp_path / "b.npy", "-M", "27", "-q")
-    assert result.err.startswith("warning: unplaced: 10.0% of the records found no cell")
+    assert result.err.startswith("warning: unplaced: 10.0% of the records have no cell")
     assert (result.code, np.load(tmp_path / "b.npy").size) == (4, 600)
     result = prc("classify", source, tmp_path / "b2.npy", "-M", "20")
     assert (result.code, (tmp_path / "b2.npy").exists()) == (1, False)
-    assert "33.3% of the records found no cell" in result.err
+    assert "33.3% of the records have no cell" in result.err
     assert "to accept it: --accept-doubt unplaced" in result.err
     result = prc("classify", source, tmp_path / "b2.npy", "-M", "20", "--accept-doubt", "unplaced")
     assert (result.code, np.load(tmp_path / "b2.npy").size) == (0, 600)
     assert "warning" not in result.err
     source.write_text("\n".join(["scan_line,column,range", *rows, *rows[-60:]]) + "\n")
     assert (
-        "9.1% of the records met another shot"
+        "9.1% of the records are in the cell of another shot"
         in prc("classify", source, tmp_path / "c.npy", "--trust-order").err
     )
     source.write_text("scan_line,column,range\n" + "".join(f"{n},0,\n{n},1,\n" for n in range(90)))

@@ -94,7 +94,7 @@ def test_classes_that_are_there_are_taken_or_it_says_why_not(prc: Prc, forest: P
     )
     result = prc("objects", forest / "urban.laz")
     assert (
-        "note: the file has classes, but none of: stem, pole, car, curb; it is classified anew"
+        "note: the file has classes, but none of: stem, pole, car, curb; it is classified again"
         in result.err
     )
 

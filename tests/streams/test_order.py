@@ -95,8 +95,8 @@ def moved(kind: str) -> np.ndarray:
     [
         ("swapped halves", "sort with --sort-by-time"),
         ("permuted blocks", "sort with --sort-by-time"),
-        ("lines twice", "the times from record 40000 on were there before: split the file there"),
-        ("begun anew", "the times from record 60000 on were there before: split the file there"),
+        ("lines twice", "the times start again at record 40000: split the file there"),
+        ("begun anew", "the times start again at record 60000: split the file there"),
     ],
 )
 def test_a_single_large_step_back_is_refused_however_small_its_share(kind: str, hint: str) -> None:

@@ -278,7 +278,7 @@ def test_the_refusal_names_the_options_that_mend_it(
     command = ["classify", str(dump), str(labels), "--preset", "urban", "-M", str(M)]
     assert run(command) == 1
     assert (
-        "; its bytes are ranges of a scan with --set layout.endian=big, or insist"
+        "; its bytes are ranges of a scan with --set layout.endian=big; to accept"
         in capsys.readouterr().err
     )
     assert run(["info", str(dump), "-M", str(M)]) == 0
@@ -314,7 +314,7 @@ def test_a_road_in_the_open_is_a_street() -> None:
     road[:, np.cos(BEAM) < 0.2] = np.nan
     place = place_of(road, BEAM)
     assert place.kind == "street"
-    assert "nothing stands high" in place.why
+    assert "no object is above the scanner" in place.why
 
 
 def level_forest_lines(n_lines: int) -> F32:
@@ -328,9 +328,12 @@ def level_forest_lines(n_lines: int) -> F32:
 def test_a_forest_on_a_level_floor_is_a_doubt() -> None:
     place = place_of(level_forest_lines(MOST_LINES), BEAM)
     assert place.kind == "unknown"
-    assert "streets at least 42%" in place.doubt
+    assert "streets more smooth objects (42%)" in place.doubt
     choice = choice_by_beams(*_first_and_all(level_forest_lines(MOST_LINES)))
-    assert "--preset fused-forest for a forest, --preset fused for" in choice.findings[0].hint
+    assert (
+        "for a forest: --preset fused-forest; for a street: --preset fused"
+        in choice.findings[0].hint
+    )
 
 
 def test_clear_places_are_no_doubt() -> None:

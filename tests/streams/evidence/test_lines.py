@@ -147,7 +147,7 @@ def test_a_scan_that_is_read_rightly_is_fine() -> None:
         (
             lambda ranges: rng().permutation(ranges),
             "line-order",
-            "order in which they were scanned",
+            "sort the lines by time of scan",
         ),
     ],
 )

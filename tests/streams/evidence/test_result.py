@@ -323,7 +323,7 @@ def slow_answers(kept: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, 
     answers["below-ground"] = (
         DOUBTFUL if share > usual.below_share else FINE,
         (
-            f"{_percent(share)} of the returns within 20 m and 60 deg of down lie more than 1 "
+            f"{_percent(share)} of the returns within 20 m and 60 deg of down are more than 1 "
             "m below the ground"
         ),
     )
@@ -345,7 +345,7 @@ def slow_answers(kept: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, 
     for bad, said, verdict in (
         (gone, "hardly any ground", DOUBTFUL),
         (bare, "much noise", DOUBTFUL),
-        (noisy, "much noise between whole surfaces", FINE),
+        (noisy, "much noise between complete surfaces", FINE),
     ):
         runs = [
             (i, j) for i in range(len(bad)) for j in range(i + 1, len(bad) + 1) if all(bad[i:j])
