@@ -143,8 +143,9 @@ def _translate(error: ValidationError, model: type[Params], where: str) -> Confi
                 if len(constants) == 1
                 else f"leave them out: {values}"
             )
-            return ConfigError(place, f"{key} is a constant now, expected no such key", hint)
-        return ConfigError(place, f"unknown key {key!r}", _nearest_hint(model, location))
+            return ConfigError(place, f"{key} is a constant now", hint)
+        problem = "unknown key" if where == OPTION else f"unknown key {key!r}"
+        return ConfigError(place, problem, _nearest_hint(model, location))
     expected = (
         _EXPECTED.get(issue["type"], issue["msg"])
         .removeprefix("Value error, ")

@@ -57,8 +57,8 @@ KEY = "input.nadir"
 ANGLES = "input.angles"
 MEASURED = f"--set {ANGLES}=measured"
 _ANGLES_ALONE = (
-    "scan angles (--set input.angle_start=DEG --set input.angle_step=DEG if none), "
-    "and --set input.nadir=DEG if known"
+    "the scan angles (--set input.angle_start=DEG --set input.angle_step=DEG) "
+    "and --set input.nadir=DEG"
 )
 _ARRAY = "array"
 
@@ -346,7 +346,7 @@ class BeamFinder:
                 f"the angles of a line span {span:.3g} deg, as radians of a turn do: "
                 "name them angle_rad"
             )
-            hint = f"if they are degrees, give {KEY}; if they are of another scale: {MEASURED}"
+            hint = f"if they are degrees, give {KEY}; if they have another scale: {MEASURED}"
             raise InputError(self._where(scanner), problem, hint)
         range_m = range_m[spread_rows(len(range_m), SAMPLE_LINES)]
         guess = guess_down(angle, range_m)
@@ -413,8 +413,8 @@ class BeamFinder:
             if assumption.key in keys and assumption.value == "not found":
                 return assumption.why
         if angle is not None:
-            return "the stream has scan angles, but nothing says which of them points straight down"
-        return "the stream has neither scan angles nor coordinates relative to the scanner"
+            return "the input has scan angles, but not the angle of straight down"
+        return "the input has no scan angles"
 
     def _which(self, scanner: int) -> str:
         """Return the place for messages, with the scanner where the input may have several."""
@@ -435,10 +435,7 @@ class BeamFinder:
 
     def _hint(self, error: NoDirectionError | None) -> str:
         if isinstance(error, NoddingError):
-            return (
-                "check that the origin is the scanner and z is up; "
-                "a scanner that nods is for --method prc"
-            )
+            return "check that the origin is the scanner and z is up; for a scanner that nods: --method prc"
         if self.info.facts.has_scans:
             if isinstance(error, LevelLinesError):
                 return (
@@ -456,24 +453,21 @@ class BeamFinder:
                 return "check whether lines and columns are exchanged, and that z is up"
             if isinstance(error, WrongOriginError):
                 return "subtract the scanner's position from xyz"
-            return (
-                "add zenith_deg, or xyz relative to the scanner, to an .npz, "
-                f"or give {_ANGLES_ALONE}"
-            )
+            return f"give {_ANGLES_ALONE}, or an .npz with zenith_deg or xyz of the scanner"
         if isinstance(error, LevelLinesError):
             return "check the lines (--lines, -M), and that z is up"
         ways = self._ways_of_coordinates(origin_only=isinstance(error, WrongOriginError))
         if isinstance(error, WrongOriginError):
             return f"give {' or '.join(ways)}"
         if self.info.angle_rad is not None and not self.measures:
-            ways = [f"{MEASURED} if the recorded angles are of another scale", *ways]
+            ways = [f"{MEASURED} if the recorded angles have another scale", *ways]
         return f"give {', '.join([*ways, ''])}{'or ' if ways else ''}{_ANGLES_ALONE}"
 
     def _ways_of_coordinates(self, *, origin_only: bool) -> list[str]:
         has = self.info.dimensions
         if has and not set(has) >= set(XYZ):
             return []
-        ways = ["--range origin:X,Y,Z (where the scanner stood)"]
+        ways = ["--range origin:X,Y,Z (place of the scanner)"]
         if not has or "time" in has:
             ways.insert(0, "--range trajectory:FILE")
         return (
@@ -568,7 +562,7 @@ def _in_frame(sample: Sample, xyz: F32) -> tuple[SensorFrame | None, F32]:
 
 def _no_step(step: AngleStep | None, points_per_line: int) -> str:
     if step is None:
-        return "too few planes are seen to measure the angles from the ranges"
+        return "too few planes to measure angles"
     return f"planes do not agree on the angles: {step.shown(points_per_line)}"
 
 

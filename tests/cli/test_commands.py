@@ -281,7 +281,7 @@ def test_signs_of_wrong_rules_are_warned_of(prc: Prc, tmp_path: Path) -> None:
         "scan_line,column,range\n" + "".join(f"{n},0,6650338\n{n},1,6650339\n" for n in range(90))
     )
     result = prc("classify", source, tmp_path / "e.npy", "-q")
-    assert (result.code, "100.00% of the ranges lie beyond 20 km" in result.err) == (1, True)
+    assert (result.code, "100.00% of the ranges are beyond 20 km" in result.err) == (1, True)
 
 
 def test_what_speaks_against_a_stream_is_told_and_it_is_converted(prc: Prc, tmp_path: Path) -> None:

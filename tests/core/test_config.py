@@ -49,10 +49,11 @@ def test_the_presets_hold_the_published_values() -> None:
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({"prc": {"suport": {}}}, "unknown key 'prc.suport'; did you mean 'support'?"),
+        ({"prc": {"suport": {}}}, "--set prc.suport: unknown key; did you mean 'support'?"),
+        ({"zeta_s": 1.0}, "--set zeta_s: unknown key; did you mean 'prc.support.zeta_s'?"),
         (
             {"prc": {"support": {"zeta_q": 1.0}}},
-            "unknown key 'prc.support.zeta_q'; did you mean 'zeta_",
+            "--set prc.support.zeta_q: unknown key; did you mean 'zeta_",
         ),
         ({"input": {"point_per_line": 3}}, "did you mean 'points_per_line'?"),
         ({"prc": {"background": {"alpha": 0.7}}}, "prc.background.alpha: found 0.7, expected:"),
@@ -67,7 +68,7 @@ def test_the_presets_hold_the_published_values() -> None:
         ({"classes": {"ground": 300}}, "classes.ground: found 300"),
         (
             {"fused": {"walls": {"roof_m": 5}}},
-            "fused.walls is a constant now, expected no such key; leave it out",
+            "fused.walls is a constant now; leave it out",
         ),
         ({"fused": {"sensor": {"again": False}}}, "it is fused.sensor.again = true"),
         (
@@ -82,7 +83,7 @@ def test_the_presets_hold_the_published_values() -> None:
             {"fused": {"forest": {"flat": {"cover_m": 0.2}}}},
             "it is fused.forest.flat.cover_m = 0.15",
         ),
-        ({"fused": {"wals": {"roof_m": 5}}}, "unknown key 'fused.wals'"),
+        ({"fused": {"wals": {"roof_m": 5}}}, "--set fused.wals: unknown key"),
     ],
 )
 def test_wrong_keys_and_values_name_themselves(table: dict[str, object], message: str) -> None:

@@ -40,7 +40,7 @@ def test_a_later_scan_that_is_refused_is_the_verdict(tmp_path: Path) -> None:
 
 
 def test_rates_are_measured_after_sorting(tmp_path: Path) -> None:
-    """'sort with --sort-by-time', and then 'no steady rates'."""
+    """'--sort-by-time', and then 'no steady rates'."""
     time_s, _, column = drive(50.0, 300, 60)
     height = 2 + np.sin(column / 30)
     order = np.random.default_rng(0).permutation(len(time_s))
