@@ -521,7 +521,8 @@ def print_evaluation_details(evaluation: Evaluation, gates: Sequence[GateResult]
     for gate in gates:
         name, limit, value = gate_cells(gate)
         results().print(
-            f"{name}: found {value}, expected at least {limit}: {'passed' if gate.passed else 'failed'}"
+            f"{name}: found {value}, expected at least {limit}: "
+            f"{'passed' if gate.passed else 'failed'}"
         )
     results().print(match_line(evaluation.match))
     for note in (*evaluation.match.notes, *doubts(evaluation)):

@@ -23,7 +23,8 @@ _OPTIONS = {
 }
 """Options of the command line, and their keys of ``[input]``."""
 _NAMED = re.compile(
-    r"(?<![\w-])(--range (?:trajectory|origin)|--[a-z-]+|-M)(?![\w-])|\binput\.([a-z_]+)|\b(layout)\b"
+    r"(?<![\w-])(--range (?:trajectory|origin)|--[a-z-]+|-M)(?![\w-])"
+    r"|\binput\.([a-z_]+)|\b(layout)\b"
 )
 _PARTS = re.compile(r"(?:; |, or )(?:else )?")
 

@@ -435,7 +435,10 @@ class BeamFinder:
 
     def _hint(self, error: NoDirectionError | None) -> str:
         if isinstance(error, NoddingError):
-            return "check that the origin is the scanner and z is up; for a scanner that nods: --method prc"
+            return (
+                "check that the origin is the scanner and z is up; "
+                "for a scanner that nods: --method prc"
+            )
         if self.info.facts.has_scans:
             if isinstance(error, LevelLinesError):
                 return (

@@ -144,7 +144,10 @@ def check_collisions(seen: Seen) -> Finding | None:
     measured = f"{share:.1%} of the records are in the cell of another shot"
     hint = "check --lines, --columns and -M; several scanners in one file: --scanner DIMENSION"
     if of_rings:
-        hint = "write one frame per file; or give the angle between lines: --set input.azimuth_step=DEGREES"
+        hint = (
+            "write one frame per file; "
+            "or give the angle between lines: --set input.azimuth_step=DEGREES"
+        )
     many = MANY_OF_RINGS if of_rings else MANY
     return Finding(
         "collisions",

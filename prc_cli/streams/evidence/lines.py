@@ -318,7 +318,8 @@ def check_line_order(seen: Seen, figures: Figures) -> Finding | None:
     """Check whether the scene changes along the stream, but not from line to line."""
     near, far = figures.moved
     if figures.again > SEEN_AGAIN and seen.n_lines >= STANDING_LINES and not _is_fan(seen):
-        measured = f"{figures.again:.0%} of the shots unlike their neighbours are repeated in the next line"
+        share = f"{figures.again:.0%}"
+        measured = f"{share} of the shots unlike their neighbours are repeated in the next line"
         hint = "the platform stops often, or lines are copies: remove such stretches"
         return Finding("standing", Verdict.DOUBTFUL, measured, f"at most {SEEN_AGAIN:.0%}", hint)
     if seen.n_lines < LEAST_LINES or not near > 0 or not np.isfinite(far):

@@ -435,7 +435,8 @@ def _along(
             continue
         start = int(sample.line[first * STRETCH_LINES])
         stop = int(sample.line[(first + length + LONG_STRETCHES - 1) * STRETCH_LINES - 1]) + 1
-        hint = f"to see these lines: prc render IN OUT.png --only-lines {start}:{min(start + 500, stop)}"
+        shown = f"{start}:{min(start + 500, stop)}"
+        hint = f"to see these lines: prc render IN OUT.png --only-lines {shown}"
         yield Finding(
             "classes-along", verdict, f"{said} in lines {start} to {stop}", expected, hint
         )
