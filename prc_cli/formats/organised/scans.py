@@ -237,7 +237,7 @@ def describe(
             has_scans=True,
             stations=_stations(shapes, poses),
             notes=tuple(notes),
-            refuses=(RULED_OUT - {"range"} if takes_origin else RULED_OUT) | {"range_scale"},
+            refuses=(RULED_OUT - {"origin"} if takes_origin else RULED_OUT) | {"range_scale"},
             remedy=remedy,
         ),
     )

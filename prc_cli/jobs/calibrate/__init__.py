@@ -433,7 +433,7 @@ def _blind(values: Iterable[str], *, has_noise: bool) -> tuple[str, ...]:
     if has_noise or not any(key.startswith("prc.support.") for key in values):
         return ()
     return (
-        "the reference holds no noise, so nothing speaks against wide thresholds: where noise "
+        "the reference holds no noise, so wide thresholds look fine: where noise "
         "matters, keep those of the sensor with --keep prc.support.zeta_p "
         "--keep prc.support.zeta_s",
     )

@@ -98,7 +98,7 @@ def test_registered_points_without_a_pose_take_the_place_of_the_scanner(tmp_path
     assert block.xyz_m is not None
     assert equal(block.xyz_m, xyz)
     assert stream.info.facts.stations == {0: (4096.0, -8192.0, 32.0)}
-    assert "range" not in stream.info.facts.refuses
+    assert "origin" not in stream.info.facts.refuses
     assert "--range origin:X,Y,Z" in open_input(registered, AUTO).info.facts.remedy
     turned = write_e57(tmp_path / "b.e57", [Scan(e57_fields(points), (1.0, 0.0, 0.0, 0.0))])
     assert "one scan of x, y, z without a pose" in refused(turned, config)
