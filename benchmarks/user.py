@@ -47,9 +47,11 @@ def in_own_process(arguments: list[str]) -> tuple[int, str]:
 CHILD = """
 import resource, subprocess, sys
 # a process takes over the peak of the one that starts it: this one is small
-code = subprocess.run([sys.executable, "-m", "prc_cli", *sys.argv[1:]],
-stdout=sys.stderr).returncode print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss /
-(1024**2 if sys.platform == "darwin" else 1024)) sys.exit(code)
+command = [sys.executable, "-m", "prc_cli", *sys.argv[1:]]
+code = subprocess.run(command, stdout=sys.stderr).returncode
+unit = 1024**2 if sys.platform == "darwin" else 1024
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / unit)
+sys.exit(code)
 """
 
 

@@ -148,8 +148,7 @@ def test_nothing_to_do_is_one_line_or_none_and_the_reference_is_compared_anyway(
     assert nothing == f"nothing to do: 2 files are done ({out})"
     assert (
         trusted
-        == "files that were done before were judged by size and time; --verify compares their "
-        "content"
+        == "prc compared earlier files by size and time only; --verify compares their content"
     )
     result = prc(*options, "--quiet")
     assert (result.code, result.out, result.err) == (0, "", "")

@@ -183,7 +183,7 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     assert "the folder contains files" in result.err
     result = prc("demo", "--output", folder, "--lines", "100", "--json", "--overwrite")
     assert list(json.loads(result.out)) == ["default"]
-    assert result.err.splitlines()[-1] == "your own file: prc info FILE prints the command to type"
+    assert result.err.splitlines()[-1] == "next, with your own file: prc info FILE"
 
 
 @pytest.mark.slow

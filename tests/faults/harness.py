@@ -34,8 +34,8 @@ MARK = "PRC_FAULTS_MARK"
 AS_PLAIN_USER = """
 import ctypes, os, sys
 for capability in (1, 2) if os.getuid() == 0 else ():
-    ctypes.CDLL(None).prctl(24, capability, 0, 0, 0)  # PR_CAPBSET_DROP: permissions count for root
-    as well
+    # PR_CAPBSET_DROP: permissions count for root as well
+    ctypes.CDLL(None).prctl(24, capability, 0, 0, 0)
 os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
 """
 ACCEPTED = """

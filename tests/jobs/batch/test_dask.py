@@ -259,7 +259,7 @@ def test_an_outcome_that_died_with_its_worker_is_waited_for(cluster: Any, tmp_pa
             self.n_callbacks += 1
 
     with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
-        engine = dask_engine._Run(client, "tcp://a", EngineSettings(), print)
+        engine = dask_engine._ClusterRun(client, "tcp://a", EngineSettings(), print)
         future = Lost()
         engine._pending["key"] = dask_engine._Job(task, future)
         for _ in range(dask_engine.FETCHES - 1):
@@ -290,7 +290,7 @@ def test_what_a_dead_worker_left_is_removed_with_the_outcome(cluster: Any, tmp_p
             return report
 
     with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
-        engine = dask_engine._Run(client, "tcp://a", EngineSettings(), print)
+        engine = dask_engine._ClusterRun(client, "tcp://a", EngineSettings(), print)
         for workers in (("tcp://a",), ("tcp://a", "tcp://b")):
             engine._pending["key"] = dask_engine._Job(task, Finished())
             for worker in workers:
@@ -474,7 +474,7 @@ def test_ctrl_c_on_a_terminal(machines: Machines, tmp_path: Path) -> None:
 def test_lines_are_reported_once_whatever_attempt_comes_to_them(tmp_path: Path) -> None:
     (task,) = tasks_in(tmp_path, {"a.npy": 3})
     client: Any = SimpleNamespace(subscribe_topic=lambda *_: None)
-    watch = dask_engine._Run(client, "tcp://x", EngineSettings(), lambda _: None)
+    watch = dask_engine._ClusterRun(client, "tcp://x", EngineSettings(), lambda _: None)
     watch._pending["k"] = dask_engine._Job(task, None)
     reports = [("first", 5), ("first", 8), ("second", 3), ("second", 9)]
     n_lines = [

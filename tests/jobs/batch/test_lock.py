@@ -32,8 +32,9 @@ from prc_cli.jobs.batch.lock import Lock
 with Lock(Path(sys.argv[1])):
     if len(sys.argv) > 2:  # as a run starts its workers
         import subprocess
-        child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(3600)"],
-        stdin=subprocess.DEVNULL) print(child.pid, flush=True)
+        sleeper = [sys.executable, "-c", "import time; time.sleep(3600)"]
+        child = subprocess.Popen(sleeper, stdin=subprocess.DEVNULL)
+        print(child.pid, flush=True)
     print("held", flush=True)
     time.sleep(3600)
 """
