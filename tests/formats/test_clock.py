@@ -50,7 +50,7 @@ def test_a_clock_that_begins_anew_counts_on(period_s: float) -> None:
     times, notes = read_times(Times(swapped))
     wanted[[1999, 2000]] = wanted[[2000, 1999]]
     np.testing.assert_allclose(times, wanted, atol=1e-6)
-    assert "begins anew" in notes[0]
+    assert "starts again" in notes[0]
 
 
 def test_a_recording_that_is_appended_to_another_is_no_border() -> None:

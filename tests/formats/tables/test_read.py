@@ -51,7 +51,7 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
         open_table(tmp_path / "a.parquet")
     np.savez(tmp_path / "a.npz", range_m=np.ones((4, 6)))
     with pytest.raises(
-        ConfigError, match="no dimension 'time' in the file; it has: range, scan_line"
+        ConfigError, match="no dimension 'time' in the file; it has: scan_line, range"
     ):
         columns(tmp_path / "a.npz", "time")
 
