@@ -279,6 +279,15 @@ def parse_rate(rule: str) -> float:
         return float("nan")
 
 
+def origin_of(config: InputConfig) -> tuple[float, float, float] | None:
+    """Return the place of the scanner that ``range = origin:X,Y,Z`` gives [m]; None if it does not.
+
+    >>> origin_of(InputConfig(range="origin:1,2,3.5")), origin_of(InputConfig())
+    ((1.0, 2.0, 3.5), None)
+    """
+    return parse_origin(config.range) if config.range.startswith("origin:") else None
+
+
 def parse_origin(rule: str) -> tuple[float, float, float]:
     """Return the coordinates in ``origin:X,Y,Z`` [m].
 

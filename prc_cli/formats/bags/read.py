@@ -16,7 +16,7 @@ from prc_cli.formats.bags.cloud import CLOUD, CloudLines, parse_cloud
 from prc_cli.formats.bags.containers import Bag, Message, Topic
 from prc_cli.formats.bags.laser import ECHOES, LASER, LaserLines, LaserScan, parse_laser
 from prc_cli.formats.bags.messages import OUSTER, PACKED, ShortMessageError, parse_packets
-from prc_cli.formats.options import InputConfig, parse_origin
+from prc_cli.formats.options import InputConfig, origin_of
 from prc_cli.formats.organised.scans import RULED_OUT, check_rules, check_width
 from prc_cli.formats.packets.read import PacketLines, find_metadata, is_scan
 from prc_cli.formats.packets.repeats import Repeats
@@ -57,9 +57,7 @@ class BagStream:
         _lines_at_once: int = 1,
         parts: tuple[Path, ...] = (),
     ) -> None:  # scans are blocks
-        has_origin = config.range.startswith("origin:")
-        rules = config.model_copy(update={"range": "auto"}) if has_origin else config
-        check_rules(path, rules, "a recording of scans")
+        check_rules(path, config, "a recording of scans", may_have_origin=True)
         self._path = path
         self._config = config
         self.bag = Bag(path, parts)
@@ -71,7 +69,7 @@ class BagStream:
         self.topics = self._choose()
         """Topics that are read."""
         self._has_clouds = all(topic.kind == CLOUD for topic in self.topics)
-        if has_origin and not self._has_clouds:
+        if not self._has_clouds:
             check_rules(path, config, "a recording of scans")
         self._notes: list[str] = []
         self._numbers: dict[str, int] = {}
@@ -312,8 +310,7 @@ class _TopicReader:
         self.n_taken = 0
         """Records of the last message."""
         self.repeats = Repeats()
-        has_origin = config.range.startswith("origin:")
-        self._origin_m = parse_origin(config.range) if has_origin else (0.0, 0.0, 0.0)
+        self._origin_m = origin_of(config) or (0.0, 0.0, 0.0)
 
     def add(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
         """Take a message and the number of its first record; yield complete blocks."""

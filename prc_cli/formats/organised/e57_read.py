@@ -23,7 +23,7 @@ from prc_cli.core.files import open_to_read
 from prc_cli.core.process import step
 from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock
 from prc_cli.core.types import F64, I64
-from prc_cli.formats.options import InputConfig, parse_origin
+from prc_cli.formats.options import InputConfig, origin_of
 from prc_cli.formats.organised.scans import (
     INTENSITY_STEPS,
     MAX_LINES,
@@ -288,14 +288,14 @@ class E57Stream:
     def __init__(
         self, path: Path, config: InputConfig, _lines_at_once: int = 1
     ) -> None:  # scans are blocks
-        has_origin = config.range.startswith("origin:")
-        check_rules(path, config.model_copy(update={"range": "auto"}) if has_origin else config)
-        self._origin_m = parse_origin(config.range) if has_origin else None
+        check_rules(path, config, may_have_origin=True)
+        self._origin_m = origin_of(config)
         self._path = path
         self._config = config
         self._scans: list[_Scan] = []
         with E57File(path) as file:
             tables = file.scans()
+            takes_origin = self._takes_origin(tables)  # before all points are read
             self._spare_cells = SPARE_CELLS
             n_records = 0
             for table in tables:
@@ -311,7 +311,7 @@ class E57Stream:
             self._assumptions(),
             self._notes(),
             poses,
-            takes_origin=self._takes_origin(tables),
+            takes_origin=takes_origin,
         )
 
     def _takes_origin(self, tables: Sequence[E57Scan]) -> bool:

@@ -14,7 +14,7 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption, StreamInfo
 from prc_cli.core.types import F32, F64
-from prc_cli.formats.options import InputConfig
+from prc_cli.formats.options import InputConfig, origin_of
 
 CHUNK_SHOTS = 1 << 18
 """Shots of a block at most (at least a line)."""
@@ -158,8 +158,19 @@ RULED_OUT = frozenset(
 """Keys that scans refuse or ignore: they have their own lines, columns and angles."""
 
 
-def check_rules(path: Path, config: InputConfig, what: str = "organised scans") -> None:
-    """Refuse options that do not apply to an organised scan, which has its own lines and ranges."""
+def check_rules(
+    path: Path,
+    config: InputConfig,
+    what: str = "organised scans",
+    *,
+    may_have_origin: bool = False,
+) -> None:
+    """Refuse options that do not apply to an organised scan, which has its own lines and ranges.
+
+    ``may_have_origin``: ``range = origin:X,Y,Z`` is checked by the caller, who knows the scans.
+    """
+    if may_have_origin and origin_of(config) is not None:
+        config = config.model_copy(update={"range": "auto"})
     refuse_rules(
         path,
         config,
