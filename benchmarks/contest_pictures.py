@@ -82,7 +82,9 @@ def failures(
     if scan.is_upright:
         x = y
         y = Axis("ring", scan.range_m.shape[1], 0)
-    zoom = zoom_for(*next(iter(pictures.values())).shape[1::-1], least=(700, 120), most=1100)
+    zoom = zoom_for(
+        *next(iter(pictures.values())).shape[1::-1], least_width=700, least_height=120, most=1100
+    )
     panels = [
         Panel(
             name,

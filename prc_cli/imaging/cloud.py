@@ -8,8 +8,9 @@ they were cut into chunks.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +59,8 @@ class Sample:
 
     def add(self, rows: F64) -> None:
         """Add rows, (n, width) float64."""
-        chosen = rows[(-self._n_seen) % self._step :: self._step]
+        first = (-self._n_seen) % self._step
+        chosen = rows[first :: self._step]
         self._n_seen += len(rows)
         self._rows.append(np.array(chosen))
         self._n += len(chosen)
@@ -75,18 +77,50 @@ class Sample:
 
     def rows(self) -> F64:
         """Return the sample, (n, width) float64."""
-        return np.concatenate(self._rows) if self._rows else np.empty((0, self._width))
+        if not self._rows:
+            return np.empty((0, self._width))
+        return np.concatenate(self._rows)
 
 
-def bounds(sample: F64) -> tuple[F64, F64]:
-    """Return the corners, two (3,) float64 [m], of the box that a view of points (n, 3) frames.
+class Box(NamedTuple):
+    """A box along the axes."""
 
-    Far and stray points are outside.
-    """
+    low: F64
+    high: F64
+    """Corners, (3,) float64 [m]."""
+
+    def contains(self, xyz: F64) -> Mask:
+        """Return which points (..., 3) are inside or on the border, (...) bool."""
+        inside = (xyz >= self.low) & (xyz <= self.high)
+        return np.asarray(inside.all(axis=-1), np.bool_)
+
+
+class Projection(NamedTuple):
+    """Points as a camera sees them, each (n,) float64."""
+
+    right: F64
+    down: F64
+    """Pixel coordinates from the upper left corner."""
+    depth: F64
+    """Distance along the view [m]."""
+
+    def is_inside(self, size: tuple[int, int]) -> Mask:
+        """Return which points are within a picture of this width and height, (n,) bool."""
+        width, height = size
+        across = (self.right >= 0) & (self.right < width)
+        along = (self.down >= 0) & (self.down < height)
+        return across & along
+
+
+def bounds(sample: F64) -> Box:
+    """Return the box that a view of points (n, 3) [m] frames; far and stray points are outside."""
     ends = [np.percentile(sample[:, axis], FRAMED[axis]) for axis in range(3)]
     low, high = np.array(ends).T
-    more = (high - low) * np.array(WIDENED)
-    return np.maximum(low - more, sample.min(axis=0)), np.minimum(high + more, sample.max(axis=0))
+    margins = (high - low) * np.array(WIDENED)
+    return Box(
+        low=np.maximum(low - margins, sample.min(axis=0)),
+        high=np.minimum(high + margins, sample.max(axis=0)),
+    )
 
 
 def fullest_azimuth(
@@ -97,18 +131,21 @@ def fullest_azimuth(
 ) -> float:
     """Return the azimuth whose view a sample (n, 3) fills best, clockwise from north [deg]."""
     points = sample[:: max(1, len(sample) // _TRIED)]
-    coarse = 160, max(1, 160 * height // width)
+    coarse_width = 160
+    coarse_height = max(1, 160 * height // width)
 
     def n_filled(azimuth_deg: float) -> int:
-        view = Perspective.around(points, azimuth_deg, elevation_deg, *coarse)
-        right, down, _ = view.project(points)
-        seen = (right >= 0) & (right < view.size[0]) & (down >= 0) & (down < view.size[1])
-        return len(
-            np.unique(down[seen].astype(np.int64) * view.size[0] + right[seen].astype(np.int64))
-        )
+        view = Perspective.around(points, azimuth_deg, elevation_deg, coarse_width, coarse_height)
+        projection = view.project(points)
+        inside = projection.is_inside(view.size)
+        columns = projection.right[inside].astype(np.int64)
+        rows = projection.down[inside].astype(np.int64)
+        return len(np.unique(rows * view.size[0] + columns))
 
-    best = max(AZIMUTHS_DEG, key=n_filled)
-    return float(best) if n_filled(best) > _BETTER * n_filled(USUAL_DEG) else USUAL_DEG
+    best_deg = max(AZIMUTHS_DEG, key=n_filled)
+    if n_filled(best_deg) > _BETTER * n_filled(USUAL_DEG):
+        return float(best_deg)
+    return USUAL_DEG
 
 
 class Camera(Protocol):
@@ -118,8 +155,8 @@ class Camera(Protocol):
     def size(self) -> tuple[int, int]:
         """Width and height of the picture [pixels]."""
 
-    def project(self, xyz: F64) -> tuple[F64, F64, F64]:
-        """Return pixel coordinates right and down, and the depth [m], each (n,) float64."""
+    def project(self, xyz: F64) -> Projection:
+        """Return where points (n, 3) float64 [m] are in the picture."""
 
     def relief(self, depth: F64) -> F64:
         """Return depths on the scale on which steps are shaded."""
@@ -147,18 +184,23 @@ class FromAbove:
         half[:2] = np.maximum(half[:2], NARROWEST * half[1::-1])
         metres = float(max(2 * half[0] / width, 2 * half[1] / height))
         # a round pixel size is convenient, but the view should fill the picture
-        size = (
-            max(1, math.ceil(2 * half[0] / metres - 1e-9)),
-            max(1, math.ceil(2 * half[1] / metres - 1e-9)),
+        view_width = max(1, math.ceil(2 * half[0] / metres - 1e-9))
+        view_height = max(1, math.ceil(2 * half[1] / metres - 1e-9))
+        return cls(
+            left=float(middle[0] - view_width * metres / 2),
+            top=float(middle[1] + view_height * metres / 2),
+            highest=float(sample[:, 2].max()) + 1.0,
+            metres=metres,
+            size=(view_width, view_height),
         )
-        left = middle[0] - size[0] * metres / 2
-        top = middle[1] + size[1] * metres / 2
-        return cls(float(left), float(top), float(sample[:, 2].max()) + 1.0, metres, size)
 
-    def project(self, xyz: F64) -> tuple[F64, F64, F64]:
-        """Return pixel coordinates right and down, and the depth [m], each (n,) float64."""
-        depth = np.maximum(self.highest - xyz[:, 2], 1e-3)
-        return (xyz[:, 0] - self.left) / self.metres, (self.top - xyz[:, 1]) / self.metres, depth
+    def project(self, xyz: F64) -> Projection:
+        """Return where points (n, 3) float64 [m] are in the picture."""
+        return Projection(
+            right=(xyz[:, 0] - self.left) / self.metres,
+            down=(self.top - xyz[:, 1]) / self.metres,
+            depth=np.maximum(self.highest - xyz[:, 2], 1e-3),
+        )
 
     def relief(self, depth: F64) -> F64:
         """Return depths relative to the size of the view, the scale on which steps are shaded."""
@@ -188,13 +230,13 @@ class Perspective:
         height: int,
     ) -> Perspective:
         """Return the view from a direction with nearly all points of a sample (n, 3) float64."""
-        low, high = bounds(sample)
-        inside = sample[((sample >= low) & (sample <= high)).all(axis=1)]
-        inside = inside if len(inside) else sample
+        inside = sample[bounds(sample).contains(sample)]
+        if not len(inside):
+            inside = sample
         target = (inside.min(axis=0) + inside.max(axis=0)) / 2
         azimuth = math.radians(azimuth_deg)
         elevation = math.radians(elevation_deg)
-        out = np.array(
+        backward = np.array(
             [
                 math.sin(azimuth) * math.cos(elevation),
                 math.cos(azimuth) * math.cos(elevation),
@@ -202,36 +244,47 @@ class Perspective:
             ]
         )
         right = np.array([-math.cos(azimuth), math.sin(azimuth), 0.0])
-        axes = np.stack([right, np.cross(-out, right), -out])
-        seen = (inside - target) @ axes.T
-        slope = math.tan(math.radians(FIELD_OF_VIEW_DEG / 2)) * (1 - 2 * MARGIN)
-        # the smallest distance at which all points are within the horizontal angle and the
-        # picture's aspect ratio
-        away = float(np.max(np.abs(seen[:, 0]) / slope - seen[:, 2], initial=1.0))
-        away = max(
-            away,
-            float(np.max(np.abs(seen[:, 1]) / (slope * height / width) - seen[:, 2], initial=1.0)),
-        )
-        away = max(away, float(-seen[:, 2].min()) * 1.05 + 0.1)
-        flat = seen[:, :2] / (seen[:, 2] + away)[:, None]
-        ends = np.stack([flat.min(axis=0), flat.max(axis=0)])
+        axes = np.stack([right, np.cross(-backward, right), -backward])
+        from_target = (inside - target) @ axes.T
+        across = from_target[:, 0]
+        down = from_target[:, 1]
+        forward = from_target[:, 2]
+
+        # the smallest distance at which all points are within the horizontal angle, within the
+        # aspect ratio of the picture, and in front of the eye
+        slope_across = math.tan(math.radians(FIELD_OF_VIEW_DEG / 2)) * (1 - 2 * MARGIN)
+        slope_down = slope_across * height / width
+        away = float(np.max(np.abs(across) / slope_across - forward, initial=1.0))
+        away = max(away, float(np.max(np.abs(down) / slope_down - forward, initial=1.0)))
+        away = max(away, float(-forward.min()) * 1.05 + 0.1)
+
+        # the largest scale at which the picture holds them, and the picture cut to them
+        slopes = from_target[:, :2] / (forward + away)[:, None]
+        ends = np.stack([slopes.min(axis=0), slopes.max(axis=0)])
         spans = np.maximum(ends[1] - ends[0], 1e-6) * (1 + 2 * MARGIN)
         focal = float(min(width / spans[0], height / spans[1]))
-        size = (
-            max(1, math.ceil(spans[0] * focal - 1e-6)),
-            max(1, math.ceil(spans[1] * focal - 1e-6)),
-        )
+        view_width = max(1, math.ceil(spans[0] * focal - 1e-6))
+        view_height = max(1, math.ceil(spans[1] * focal - 1e-6))
         middle = ends.mean(axis=0) * focal
-        centre = size[0] / 2 - float(middle[0]), size[1] / 2 - float(middle[1])
-        return cls(target + out * away, axes, focal, size, centre)
+        return cls(
+            eye=target + backward * away,
+            axes=axes,
+            focal=focal,
+            size=(view_width, view_height),
+            centre=(view_width / 2 - float(middle[0]), view_height / 2 - float(middle[1])),
+        )
 
-    def project(self, xyz: F64) -> tuple[F64, F64, F64]:
-        """Return pixel coordinates right and down, and the depth [m], each (n,) float64."""
-        seen = (xyz - self.eye) @ self.axes.T
-        depth = seen[:, 2]
+    def project(self, xyz: F64) -> Projection:
+        """Return where points (n, 3) float64 [m] are in the picture, NaN for those behind."""
+        from_eye = (xyz - self.eye) @ self.axes.T
+        depth = from_eye[:, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
             scale = np.where(depth > 0, self.focal / depth, np.nan)
-        return seen[:, 0] * scale + self.centre[0], seen[:, 1] * scale + self.centre[1], depth
+        return Projection(
+            right=from_eye[:, 0] * scale + self.centre[0],
+            down=from_eye[:, 1] * scale + self.centre[1],
+            depth=depth,
+        )
 
     def relief(self, depth: F64) -> F64:
         """Return depths on the scale on which steps are shaded: doublings of the distance."""
@@ -251,28 +304,28 @@ class DepthBuffer:
     def add(self, xyz: F64, colours: U8) -> None:
         """Draw points: ``xyz`` (n, 3) float64, ``colours`` (n, 3) uint8."""
         width, height = self._size
-        right, down, depth = self._camera.project(xyz)
+        projection = self._camera.project(xyz)
         with np.errstate(invalid="ignore"):
-            inside = (right >= 0) & (right < width) & (down >= 0) & (down < height) & (depth > 0)
+            inside = projection.is_inside(self._size) & (projection.depth > 0)
         self.n_inside += int(np.count_nonzero(inside))
-        column = right[inside].astype(np.int64)
-        row = down[inside].astype(np.int64)
+        columns = projection.right[inside].astype(np.int64)
+        rows = projection.down[inside].astype(np.int64)
         # positive floats sort like their bit patterns
-        bits = depth[inside].astype(np.float32).view(np.uint32).astype(np.uint64)
-        chosen = colours[inside].astype(np.uint64)
-        keys = (
-            bits << np.uint64(32)
-            | chosen[:, 0] << np.uint64(16)
-            | chosen[:, 1] << np.uint64(8)
-            | chosen[:, 2]
-        )
+        depth_bits = projection.depth[inside].astype(np.float32).view(np.uint32)
+        rgb = colours[inside].astype(np.uint64)
+        keys = depth_bits.astype(np.uint64) << np.uint64(32)
+        keys |= rgb[:, 0] << np.uint64(16)
+        keys |= rgb[:, 1] << np.uint64(8)
+        keys |= rgb[:, 2]
         first = -((self._splat - 1) // 2)
-        for across in range(first, first + self._splat):
-            for along in range(first, first + self._splat):
-                x = column + across
-                y = row + along
-                kept = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-                np.minimum.at(self._keys, (y * width + x)[kept], keys[kept])
+        steps = range(first, first + self._splat)
+        for across in steps:
+            for down in steps:
+                column = columns + across
+                row = rows + down
+                drawn = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+                pixels = (row * width + column)[drawn]
+                np.minimum.at(self._keys, pixels, keys[drawn])
 
     def picture(self, *, close: int = 2, shade: bool = True) -> U8:
         """Return the picture, (height, width, 3) uint8; white where there is nothing."""
@@ -280,70 +333,63 @@ class DepthBuffer:
         keys = self._keys.reshape(height, width)
         for _ in range(close):
             keys = _close_gaps(keys)
-        depth = (keys >> np.uint64(32)).astype(np.uint32).view(np.float32)
         empty = keys == EMPTY
-        colours = np.stack(
-            [(keys >> np.uint64(shift)) & np.uint64(255) for shift in (16, 8, 0)], axis=-1
-        )
-        picture = colours.astype(np.float32)
+        channels = [(keys >> np.uint64(shift)) & np.uint64(255) for shift in (16, 8, 0)]
+        picture = np.stack(channels, axis=-1).astype(np.float32)
         if shade:
-            relief = np.where(
-                empty, np.inf, self._camera.relief(np.where(empty, 1.0, depth).astype(np.float64))
-            )
-            picture *= _shading(relief.astype(np.float32))[..., None]
+            depth = (keys >> np.uint64(32)).astype(np.uint32).view(np.float32)
+            depth = np.where(empty, np.float32(1.0), depth)
+            relief = self._camera.relief(depth.astype(np.float64))
+            relief = np.where(empty, np.inf, relief)
+            picture *= _brightness(relief.astype(np.float32))[..., None]
         picture[empty] = 255.0
         return np.rint(picture).astype(np.uint8)
 
 
-def _neighbours(image: NDArray[Any], fill: object, reach: int = 1) -> list[NDArray[Any]]:
-    """Return the eight neighbours of every pixel at some distance, outside = ``fill``."""
+def _neighbours(image: NDArray[Any], fill: object, reach: int = 1) -> Iterator[NDArray[Any]]:
+    """Iterate over the eight neighbours of all pixels at ``reach``, ``fill`` outside the image."""
     padded = np.pad(image, reach, constant_values=fill)  # type: ignore[call-overload]
     height, width = image.shape
-    steps = [
-        (dy, dx)
-        for dy in (0, reach, 2 * reach)
-        for dx in (0, reach, 2 * reach)
-        if (dy, dx) != (reach, reach)
-    ]
-    return [padded[dy : dy + height, dx : dx + width] for dy, dx in steps]
+    for top in (0, reach, 2 * reach):
+        for left in (0, reach, 2 * reach):
+            if (top, left) != (reach, reach):
+                yield padded[top : top + height, left : left + width]
 
 
 def _close_gaps(keys: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """Fill pixels that are empty, or seen through a gap, among at least five nearer neighbours."""
-    near = np.zeros(keys.shape, np.uint8)
     # nearer means by 2 % or more: that is at least 2^17 in the bits of a float32
-    limit = keys - np.minimum(keys, np.uint64((1 << 17) << 32))
-    best = np.full(keys.shape, EMPTY, np.uint64)
+    limits = keys - np.minimum(keys, np.uint64((1 << 17) << 32))
+    n_nearer = np.zeros(keys.shape, np.uint8)
+    nearest = np.full(keys.shape, EMPTY, np.uint64)
     for neighbour in _neighbours(keys, EMPTY):
-        nearer: Mask = neighbour < limit
-        near += nearer
-        np.minimum(best, np.where(nearer, neighbour, EMPTY), out=best)
-    return np.where(near >= 5, best, keys)
+        is_nearer: Mask = neighbour < limits
+        n_nearer += is_nearer
+        np.minimum(nearest, np.where(is_nearer, neighbour, EMPTY), out=nearest)
+    return np.where(n_nearer >= 5, nearest, keys)
 
 
-def _shading(relief: F32) -> F32:
-    """Return brightness from 0 to 1: lower where neighbours are in front."""
+def _brightness(relief: F32) -> F32:
+    """Return brightness from 0 to 1, lower where neighbours are in front."""
     total = np.zeros(relief.shape, np.float32)
     for reach, weight in ((1, 1.0), (2, 0.5), (4, 0.25)):
         for neighbour in _neighbours(relief, np.inf, reach):
             with np.errstate(invalid="ignore"):
                 step = relief - neighbour
-            # limit the effect of one deep step, which is an edge and must not turn its surroundings
-            # black
-            total += np.float32(weight) * np.clip(
-                np.nan_to_num(step, nan=0.0, posinf=0.0, neginf=0.0), 0.0, 0.06
-            )
-    return np.asarray(np.maximum(np.exp(-SHADE * total / 14.0), 0.25), np.float32)
+            step = np.nan_to_num(step, nan=0.0, posinf=0.0, neginf=0.0)
+            # a deep step is an edge and must not turn its surroundings black
+            total += np.float32(weight) * np.clip(step, 0.0, 0.06)
+    brightness = np.exp(-SHADE * total / 14.0)
+    return np.asarray(np.maximum(brightness, 0.25), np.float32)
 
 
-def splat_for(n_points: int, size: tuple[int, int]) -> int:
+def splat_for(n_points: int, n_pixels: int) -> int:
     """Return the width of a point that closes surfaces in a picture of so many points [pixels].
 
-    >>> splat_for(10_000_000, (2000, 1000)), splat_for(20_000, (2000, 1000))
+    >>> splat_for(10_000_000, 2_000_000), splat_for(20_000, 2_000_000)
     (1, 4)
     """
-    pixels = size[0] * size[1]
-    share = n_points / max(pixels, 1)
+    share = n_points / max(n_pixels, 1)
     for splat, least_share in ((1, 0.6), (2, 0.12), (3, 0.03)):
         if share > least_share:
             return splat

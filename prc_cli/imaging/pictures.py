@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,95 +32,127 @@ class Bar:
     unit: str = "m"
 
 
-def range_limits(range_m: NDArray[np.floating]) -> tuple[float, float]:
+class Limits(NamedTuple):
+    """Values at the two ends of a colour scale."""
+
+    low: float
+    high: float
+
+
+def range_limits(range_m: NDArray[np.floating]) -> Limits:
     """Return the ranges at the ends of the colour scale [m].
 
     2nd and 98th percentile of the returns.
     """
-    seen = range_m[np.isfinite(range_m) & (range_m > 0)]
-    near, far = (float(v) for v in np.percentile(seen, (2, 98))) if seen.size else (1.0, 2.0)
-    return near, max(far, near * 1.01)
+    returned = np.isfinite(range_m) & (range_m > 0)
+    if not returned.any():
+        return Limits(1.0, 2.0)
+    near, far = np.percentile(range_m[returned], (2, 98))
+    return Limits(float(near), max(float(far), float(near) * 1.01))
 
 
-def range_picture(range_m: NDArray[np.floating], limits_m: tuple[float, float] | None = None) -> U8:
-    """Colour ranges (lines, M) from near, bright yellow, to far, dark blue, by logarithm.
+def range_picture(range_m: NDArray[np.floating], limits_m: Limits | None = None) -> U8:
+    """Colour ranges from near, bright yellow, to far, dark blue, by logarithm.
 
-    (lines, M, 3) uint8.
+    Parameters
+    ----------
+    range_m : (lines, M) floating, metres
+        Not finite or 0 where there is no return.
+    limits_m : Limits, optional
+        Ranges at the ends of the colours; by default :func:`range_limits`.
+
+    Returns
+    -------
+    (lines, M, 3) uint8
     """
-    seen = np.isfinite(range_m) & (range_m > 0)
+    returned = np.isfinite(range_m) & (range_m > 0)
     near, far = range_limits(range_m) if limits_m is None else limits_m
     if not 0 < near < far:
         where = "limits_m"
-        raise InputError(where, f"found {limits_m}, expected 0 < near < far [m]")
+        raise InputError(where, f"found {(near, far)}, expected 0 < near < far [m]")
     with np.errstate(over="ignore"):  # infinitely far is far
-        place = np.log(np.where(seen, range_m, near) / near) / np.log(far / near)
-    picture: U8 = colour_map()[np.rint(255 * (1.0 - np.clip(place, 0.0, 1.0))).astype(np.intp)]
-    picture[~seen] = MISSING_COLOUR
+        ratio = np.where(returned, range_m, near) / near
+        farness = np.log(ratio) / np.log(far / near)
+    nearness = 1.0 - np.clip(farness, 0.0, 1.0)
+    picture = _mapped(nearness)
+    picture[~returned] = MISSING_COLOUR
     return picture
 
 
-def range_bar(limits_m: tuple[float, float], *, rises: bool = False) -> Bar:
+def range_bar(limits_m: Limits, *, rises: bool = False) -> Bar:
     """Return the colour bar of :func:`range_picture`, near at the bottom.
 
-    ``rises``: of :func:`critical_picture`.
+    ``rises``: the bar of :func:`critical_picture`, whose colours run the other way.
 
-    >>> [text for _, text in range_bar((2.0, 60.0)).ticks]
+    >>> [text for _, text in range_bar(Limits(2.0, 60.0)).ticks]
     ['2', '5', '10', '20', '50']
     """
     near, far = limits_m
-    powers = range(math.floor(math.log10(near)), math.ceil(math.log10(far)) + 1)
-    values = [factor * 10.0**power for power in powers for factor in (1, 2, 5)]
+    lowest_power = math.floor(math.log10(near))
+    highest_power = math.ceil(math.log10(far))
+    values = []
+    for power in range(lowest_power, highest_power + 1):
+        values += [factor * 10.0**power for factor in (1, 2, 5)]
     if sum(near <= value <= far for value in values) < 3:  # too few of these on a narrow scale
         values = _even_values(near, far)
-    inside = [value for value in values if near <= value * (1 + 1e-9) and value <= far * (1 + 1e-9)]
-    ticks = tuple(
-        (math.log(value / near) / math.log(far / near), f"{value:.3g}") for value in inside
-    )
-    return Bar(colour_map() if rises else colour_map()[::-1], ticks)
+    ticks = []
+    for value in values:
+        if near <= value * (1 + 1e-9) and value <= far * (1 + 1e-9):
+            place = math.log(value / near) / math.log(far / near)
+            ticks.append((place, f"{value:.3g}"))
+    colours = colour_map() if rises else colour_map()[::-1]
+    return Bar(colours, tuple(ticks))
 
 
-def value_limits(values: NDArray[np.floating]) -> tuple[float, float]:
+def value_limits(values: NDArray[np.floating]) -> Limits:
     """Return the ends of a linear colour scale: 1st and 99th percentile of the finite values."""
-    seen = values[np.isfinite(values)]
-    low, high = (float(v) for v in np.percentile(seen, (1, 99))) if seen.size else (0.0, 1.0)
-    return low, high if high > low else low + 1.0
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return Limits(0.0, 1.0)
+    low, high = (float(value) for value in np.percentile(finite, (1, 99)))
+    return Limits(low, high if high > low else low + 1.0)
 
 
-def value_picture(values: NDArray[np.floating], limits: tuple[float, float]) -> U8:
+def value_picture(values: NDArray[np.floating], limits: Limits) -> U8:
     """Colour a quantity from low, dark blue, to high, bright yellow.
 
     NaN = white; (..., 3) uint8.
     """
-    seen = np.isfinite(values)
+    known = np.isfinite(values)
     low, high = limits
-    place = (np.where(seen, values, low) - low) / (high - low)
-    picture: U8 = colour_map()[np.rint(255 * np.clip(place, 0.0, 1.0)).astype(np.intp)]
-    picture[~seen] = MISSING_COLOUR
+    place = (np.where(known, values, low) - low) / (high - low)
+    picture = _mapped(np.clip(place, 0.0, 1.0))
+    picture[~known] = MISSING_COLOUR
     return picture
 
 
-def value_bar(limits: tuple[float, float], unit: str) -> Bar:
+def _mapped(places: NDArray[np.floating]) -> U8:
+    """Return colours (..., 3) of places from 0 to 1 in the colour map, (...)."""
+    colours: U8 = colour_map()[np.rint(255 * places).astype(np.intp)]
+    return colours
+
+
+def value_bar(limits: Limits, unit: str) -> Bar:
     """Return the colour bar of :func:`value_picture`.
 
-    >>> [text for _, text in value_bar((-2.0, 3.0), "m").ticks]
+    >>> [text for _, text in value_bar(Limits(-2.0, 3.0), "m").ticks]
     ['-2', '-1', '0', '1', '2', '3']
     """
     low, high = limits
-    values = _even_values(low, high)
-    return Bar(
-        colour_map(),
-        tuple(((value - low) / (high - low), f"{value:.6g}") for value in values),
-        unit,
-    )
+    ticks = []
+    for value in _even_values(low, high):
+        place = (value - low) / (high - low)
+        ticks.append((place, f"{value:.6g}"))
+    return Bar(colour_map(), tuple(ticks), unit)
 
 
 def _even_values(low: float, high: float) -> list[float]:
     """Return three to seven multiples of 1, 2 or 5 times a power of ten."""
     step = 10.0 ** math.floor(math.log10((high - low) / 3))
     step *= next(factor for factor in (1, 2, 5, 10) if (high - low) / (factor * step) <= 6)
-    return [
-        step * i for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
-    ]
+    first = math.ceil(low / step - 1e-9)
+    last = math.floor(high / step + 1e-9)
+    return [step * multiple for multiple in range(first, last + 1)]
 
 
 AGREE_COLOUR = (222, 222, 222)
@@ -145,19 +178,23 @@ def difference_picture(
 
 def segment_picture(segments: NDArray[np.integer]) -> U8:
     """Colour ids (lines, M) alike in every picture, 0 = none is black; (lines, M, 3) uint8."""
-    # golden-ratio steps separate the hues of consecutive ids; two more sequences vary saturation
-    # and value
-    hue, saturation, value = (
-        np.mod(segments * step, 1.0) for step in (0.6180339887, 0.7548776662, 0.5698402910)
-    )
-    picture = _from_hsv(hue, 0.45 + 0.5 * saturation, 0.6 + 0.4 * value)
+    # steps by the golden ratio separate the hues of consecutive ids, two more sequences vary
+    # saturation and value
+    hue = np.mod(segments * 0.6180339887, 1.0)
+    saturation = 0.45 + 0.5 * np.mod(segments * 0.7548776662, 1.0)
+    value = 0.6 + 0.4 * np.mod(segments * 0.5698402910, 1.0)
+    # from hue, saturation and value to red, green and blue
+    position = (hue[..., None] * 6.0 + np.array([5.0, 3.0, 1.0])) % 6.0
+    drop = np.clip(np.minimum(position, 4.0 - position), 0.0, 1.0)
+    picture = _bytes(value[..., None] * (1.0 - saturation[..., None] * drop))
     picture[segments == 0] = 0
     return picture
 
 
 def mask_picture(mask: Mask) -> U8:
     """Draw a binary image: true = white, false = black, (lines, M) bool to (lines, M, 3) uint8."""
-    return np.repeat(np.where(mask, np.uint8(255), np.uint8(0))[..., None], 3, axis=2)
+    grey = np.where(mask, np.uint8(255), np.uint8(0))
+    return np.repeat(grey[..., None], 3, axis=2)
 
 
 @cache
@@ -192,18 +229,9 @@ def colour_map() -> U8:
     return _bytes(encoded)
 
 
-def _from_hsv(hue: F64, saturation: F64, value: F64) -> U8:
-    """Hue, saturation and value in 0..1, (...) each, to sRGB (..., 3)."""
-    position = (hue[..., None] * 6.0 + np.array([5.0, 3.0, 1.0])) % 6.0
-    drop = np.clip(np.minimum(position, 4.0 - position), 0.0, 1.0)
-    rgb = value[..., None] * (1.0 - saturation[..., None] * drop)
-    return _bytes(rgb)
-
-
 def _bytes(rgb: F64) -> U8:
-    """Colours in 0..1 as bytes."""
-    colours: U8 = np.rint(255 * rgb).astype(np.uint8)
-    return colours
+    """Return colours in 0..1 as bytes."""
+    return np.rint(255 * rgb).astype(np.uint8)
 
 
 NEVER_COLOUR = LABEL_COLOURS[Label.NOISE]
@@ -215,17 +243,16 @@ TRIGGER_CELLS = 2
 """Cells by which the mark of a trigger reaches beyond it along the line, so that it is seen."""
 
 
-def critical_picture(zeta_m: NDArray[np.floating], limits_m: tuple[float, float]) -> U8:
+def critical_picture(zeta_m: NDArray[np.floating], limits_m: Limits) -> U8:
     """Colour thresholds [m] from low, dark blue, to high, bright yellow, by logarithm.
 
     (lines, M, 3) uint8.
     """
     low, high = limits_m
+    log_limits = Limits(float(np.log(low)), float(np.log(high)))
     never = np.isposinf(zeta_m)
-    shown = np.where(never, np.nan, zeta_m)
-    picture = value_picture(
-        np.log(np.clip(shown, low, high)), (float(np.log(low)), float(np.log(high)))
-    )
+    thresholds = np.clip(np.where(never, np.nan, zeta_m), low, high)
+    picture = value_picture(np.log(thresholds), log_limits)
     picture[never] = NEVER_COLOUR
     return picture
 
@@ -247,12 +274,12 @@ def trigger_key() -> tuple[tuple[str, tuple[int, int, int]], ...]:
         ("H", Label.HORIZONTAL),
         ("V", Label.VERTICAL),
     )
-    pale = trigger_picture(np.array([[label for _, label in classes]], np.uint8))[0].tolist()
-    keys = tuple(
-        (name, (red, green, blue))
-        for (name, _), (red, green, blue) in zip(classes, pale, strict=True)
-    )
-    return (("trigger", TRIGGER_COLOUR), *keys)
+    labels = np.array([[label for _, label in classes]], np.uint8)
+    pale_colours = trigger_picture(labels)[0].tolist()
+    entries = [("trigger", TRIGGER_COLOUR)]
+    for (name, _), (red, green, blue) in zip(classes, pale_colours, strict=True):
+        entries.append((name, (red, green, blue)))
+    return tuple(entries)
 
 
 def trigger_picture(packed: U8) -> U8:
@@ -267,16 +294,18 @@ def trigger_picture(packed: U8) -> U8:
     >>> (trigger_picture(packed)[0, :, 0] == TRIGGER_COLOUR[0]).astype(int)
     array([0, 0, 0, 1, 1, 1, 1, 1, 0])
     """
-    classes = packed % len(Label)
+    labels = packed % len(Label)
     side = packed // len(Label)
     colours = np.array([LABEL_COLOURS[label] for label in Label], np.uint8)
-    picture: U8 = np.rint(colours[classes] * (1.0 - PALE) + 255 * PALE).astype(np.uint8)
-    begun = side >= TriggerSide.AT
+    pale_colours = colours[labels] * (1.0 - PALE) + 255 * PALE
+    picture: U8 = np.rint(pale_colours).astype(np.uint8)
+    is_before = side == TriggerSide.BEFORE
+    has_triggered = side >= TriggerSide.AT
     mark = side == TriggerSide.AT
-    # thinning may have taken the shot itself: the trigger lies where a line goes from before it to
-    # after it
-    mark[:, 1:] |= begun[:, 1:] & (side[:, :-1] == TriggerSide.BEFORE)
-    mark[:, :-1] |= begun[:, :-1] & (side[:, 1:] == TriggerSide.BEFORE)
+    # thinning may have dropped the shot of the trigger: then it is where a line goes from before
+    # the trigger to after it
+    mark[:, 1:] |= has_triggered[:, 1:] & is_before[:, :-1]
+    mark[:, :-1] |= has_triggered[:, :-1] & is_before[:, 1:]
     wide = mark.copy()
     for reach in range(1, TRIGGER_CELLS + 1):
         wide[:, reach:] |= mark[:, :-reach]

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
-from typing import TypeAlias
+from functools import cache, partial
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -64,16 +64,16 @@ class Axis:
         if not high > low:
             return []
         step = round_step((high - low) * apart / max(length, 1), integer=self.cells)
-        half = 0.5 if self.cells else 0.0
-        values = [
-            step * i
-            for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
-        ]
+        half_cell = 0.5 if self.cells else 0.0
+        first_multiple = math.ceil(low / step - 1e-9)
+        last_multiple = math.floor(high / step + 1e-9)
         marks = []
-        for value in values:
-            place = (value + half - self.first) / (self.stop - self.first)
+        for multiple in range(first_multiple, last_multiple + 1):
+            value = step * multiple
             if self.first > self.stop:
-                place = (self.first - value - half) / (self.first - self.stop)
+                place = (self.first - value - half_cell) / (self.first - self.stop)
+            else:
+                place = (value + half_cell - self.first) / (self.stop - self.first)
             if 0 <= place < 1:
                 marks.append((int(place * length), number_text(value, step)))
         return marks
@@ -101,7 +101,18 @@ class Panel:
     @property
     def size(self) -> tuple[int, int]:
         """Width and height of the enlarged picture [pixels]."""
-        return self.picture.shape[1] * self.zoom[0], self.picture.shape[0] * self.zoom[1]
+        height, width, _ = self.picture.shape
+        across, down = self.zoom
+        return width * across, height * down
+
+
+class KeyEntry(NamedTuple):
+    """A colour and its text in a row of the key."""
+
+    left: int
+    """Distance from the beginning of the row [pixels]."""
+    text: str
+    colour: Colour
 
 
 def round_step(least: float, *, integer: bool = False) -> float:
@@ -125,26 +136,29 @@ def number_text(value: float, step: float = 1.0) -> str:
     >>> number_text(12000.0, 500), number_text(0.25, 0.05)
     ('12,000', '0.25')
     """
-    decimals = max(0, -math.floor(math.log10(step) + 1e-9)) if step < 1 else 0
+    decimals = 0
+    if step < 1:
+        decimals = max(0, -math.floor(math.log10(step) + 1e-9))
     text = f"{value:,.{decimals}f}"
-    return text.replace("-0", "0") if float(text.replace(",", "")) == 0 else text
+    is_zero = float(text.replace(",", "")) == 0
+    return text.replace("-0", "0") if is_zero else text
 
 
 def zoom_for(
     width: int,
     height: int,
-    least: tuple[int, int] = (1000, 180),
+    *,
+    least_width: int = 1000,
+    least_height: int = 180,
     most: int = 2200,
 ) -> tuple[int, int]:
-    """Return integer factors that enlarge a small picture to a readable size."""
-    across, down = (
-        max(1, -(-limit // max(size, 1)))
-        for limit, size in zip(least, (width, height), strict=True)
-    )
-    across = min(across, max(1, most // max(width, 1)))
-    down = min(down, max(1, most // max(height, 1)))
+    """Return integer factors, across and down, that enlarge a small picture to a readable size."""
+    most_across = max(1, most // max(width, 1))
+    most_down = max(1, most // max(height, 1))
+    across = min(max(1, -(-least_width // max(width, 1))), most_across)
+    down = min(max(1, -(-least_height // max(height, 1))), most_down)
     if across > 1 and down > 1:
-        both = min(max(across, down), max(1, most // max(width, height, 1)))
+        both = min(max(across, down), most_across, most_down)
         return both, both
     return across, down
 
@@ -152,53 +166,54 @@ def zoom_for(
 def draw_panel(panel: Panel, *, with_title: bool = True) -> Image.Image:
     """Draw one picture with its axes and its colour bar."""
     picture = panel.picture
-    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8 or not picture.size:
+    is_rgb = picture.ndim == 3 and picture.shape[2] == 3 and picture.dtype == np.uint8
+    if not is_rgb or not picture.size:
         problem = (
             f"found {picture.dtype} of shape {picture.shape}, "
             "expected uint8 (lines, points per line, 3)"
         )
         raise InputError(panel.title, problem)
+
+    # the title above, the note beside it or, if there is no room, below the picture with the key
     width, height = panel.size
     top = TITLE_HEIGHT if with_title else MARGIN // 2
+    title_width = font(_TITLE).getlength(panel.title) + 16
+    head_width = title_width + font(_SMALL).getlength(panel.note)
+    is_note_below = with_title and bool(panel.note) and head_width > width + RIGHT
+    note_height = 30 if is_note_below else 0
     # HTML pages write the key below the picture themselves
     rows = key_rows(panel.key, width + RIGHT - MARGIN) if with_title else []
-    needed = font(_TITLE).getlength(panel.title) + 16 + font(_SMALL).getlength(panel.note)
-    wrapped = with_title and bool(panel.note) and needed > width + RIGHT  # no room beside the title
-    note_height = 30 if wrapped else 0
     foot = note_height + KEY_HEIGHT * len(rows) + (MARGIN if rows else 0)
-    canvas = Image.new("RGB", (LEFT + width + RIGHT, top + height + AXIS_HEIGHT + foot), "white")
+    bottom = top + height + AXIS_HEIGHT
+
+    canvas = Image.new("RGB", (LEFT + width + RIGHT, bottom + foot), "white")
     draw = ImageDraw.Draw(canvas)
-    enlarged = picture.repeat(panel.zoom[1], axis=0).repeat(panel.zoom[0], axis=1)
+    across, down = panel.zoom
+    enlarged = picture.repeat(down, axis=0).repeat(across, axis=1)
     canvas.paste(Image.fromarray(np.ascontiguousarray(enlarged)), (LEFT, top))
     draw.rectangle((LEFT - 1, top - 1, LEFT + width, top + height), outline=(150, 150, 150))
     if with_title:
         draw.text((LEFT, top - 8), panel.title, fill=INK, font=font(_TITLE), anchor="ls")
-        begin = LEFT + draw.textlength(panel.title, font=font(_TITLE)) + 16
-        if wrapped:
-            draw.text(
-                (LEFT, top + height + AXIS_HEIGHT + 4),
-                panel.note,
-                fill=PALE_INK,
-                font=font(_SMALL),
-                anchor="la",
-            )
-        else:
-            draw.text((begin, top - 8), panel.note, fill=PALE_INK, font=font(_SMALL), anchor="ls")
+        note_place = (LEFT + draw.textlength(panel.title, font=font(_TITLE)) + 16, top - 8)
+        anchor = "ls"
+        if is_note_below:
+            note_place = (LEFT, bottom + 4)
+            anchor = "la"
+        draw.text(note_place, panel.note, fill=PALE_INK, font=font(_SMALL), anchor=anchor)
     _draw_axes(draw, panel, top, width, height)
     if panel.bar is not None:
         _draw_bar(canvas, draw, panel.bar, LEFT + width + 18, top, height)
-    _draw_key(draw, rows, top + height + AXIS_HEIGHT + note_height)
+    _draw_key(draw, rows, bottom + note_height)
     return canvas
 
 
-def _draw_key(
-    draw: ImageDraw.ImageDraw, rows: list[list[tuple[int, str, Colour]]], top: int
-) -> None:
+def _draw_key(draw: ImageDraw.ImageDraw, rows: list[list[KeyEntry]], top: int) -> None:
     for row in rows:
-        for left, text, colour in row:
-            x = LEFT + left
-            draw.rectangle((x, top + 4, x + 30, top + 25), fill=colour, outline=(90, 90, 90))
-            draw.text((x + 40, top + 15), text, fill=INK, font=font(_KEY), anchor="lm")
+        for entry in row:
+            left = LEFT + entry.left
+            box = (left, top + 4, left + 30, top + 25)
+            draw.rectangle(box, fill=entry.colour, outline=(90, 90, 90))
+            draw.text((left + 40, top + 15), entry.text, fill=INK, font=font(_KEY), anchor="lm")
         top += KEY_HEIGHT
 
 
@@ -210,30 +225,34 @@ def _draw_axes(
     height: int,
 ) -> None:
     bottom = top + height
+    below = bottom + _TICK + 3
+    beside = LEFT - _TICK - 5
     small = font(_SMALL)
-    room = width - math.ceil(draw.textlength(panel.x.name, font=small)) - 60
+    write = partial(draw.text, fill=PALE_INK, font=small)
+
+    # the numbers below the picture leave its right end to the name of the axis
+    name_width = math.ceil(draw.textlength(panel.x.name, font=small))
     for place, text in panel.x.ticks(width, 120):
-        draw.line((LEFT + place, bottom + 1, LEFT + place, bottom + _TICK), fill=PALE_INK)
-        if place < room:  # keep the end free for the axis name
-            draw.text(
-                (LEFT + place, bottom + _TICK + 3), text, fill=PALE_INK, font=small, anchor="ma"
-            )
-    draw.text(
-        (LEFT + width, bottom + _TICK + 3), panel.x.name, fill=PALE_INK, font=small, anchor="ra"
-    )
-    marks = panel.y.ticks(height, max(48, height // 24))
-    for place, text in marks:
-        draw.line((LEFT - _TICK - 1, top + place, LEFT - 2, top + place), fill=PALE_INK)
-        draw.text((LEFT - _TICK - 5, top + place), text, fill=PALE_INK, font=small, anchor="rm")
-    if max((draw.textlength(text, font=small) for _, text in marks), default=0) > LEFT - _TICK - 32:
-        # long numbers leave no space beside them
-        draw.text(
-            (LEFT - _TICK - 5, top - 14), panel.y.name, fill=PALE_INK, font=small, anchor="rs"
-        )
+        column = LEFT + place
+        draw.line((column, bottom + 1, column, bottom + _TICK), fill=PALE_INK)
+        if place < width - name_width - 60:
+            write((column, below), text, anchor="ma")
+    write((LEFT + width, below), panel.x.name, anchor="ra")
+
+    # the name of the axis on the left is turned, unless long numbers leave no space beside them
+    widest = 0.0
+    for place, text in panel.y.ticks(height, max(48, height // 24)):
+        row = top + place
+        draw.line((LEFT - _TICK - 1, row, LEFT - 2, row), fill=PALE_INK)
+        write((beside, row), text, anchor="rm")
+        widest = max(widest, draw.textlength(text, font=small))
+    if widest > LEFT - _TICK - 32:
+        write((beside, top - 14), panel.y.name, anchor="rs")
         return
-    side = Image.new("L", (max(1, math.ceil(draw.textlength(panel.y.name, font=small)) + 2), 24), 0)
-    ImageDraw.Draw(side).text((1, 1), panel.y.name, fill=255, font=small)
-    turned = side.rotate(90, expand=True)
+    name_width = math.ceil(draw.textlength(panel.y.name, font=small))
+    name = Image.new("L", (max(1, name_width + 2), 24), 0)
+    ImageDraw.Draw(name).text((1, 1), panel.y.name, fill=255, font=small)
+    turned = name.rotate(90, expand=True)
     if turned.height <= height:
         draw.bitmap((2, top + (height - turned.height) // 2), turned, fill=PALE_INK)
 
@@ -248,21 +267,20 @@ def _draw_bar(
 ) -> None:
     """Draw a colour bar with its numbers, the first colour at the bottom."""
     small = font(_SMALL)
-    wide = 18
-    foot = 26
-    length = max(40, min(height - foot, 520))
+    length = max(40, min(height - 26, 520))
+    right = left + 18
     rows = np.rint(np.linspace(len(bar.colours) - 1, 0, length)).astype(np.intp)
-    strip = np.ascontiguousarray(np.repeat(bar.colours[rows][:, None], wide, axis=1))
-    canvas.paste(Image.fromarray(strip), (left, top))
-    draw.rectangle((left - 1, top - 1, left + wide, top + length), outline=(150, 150, 150))
-    last = math.inf
+    strip = np.repeat(bar.colours[rows][:, None], right - left, axis=1)
+    canvas.paste(Image.fromarray(np.ascontiguousarray(strip)), (left, top))
+    draw.rectangle((left - 1, top - 1, right, top + length), outline=(150, 150, 150))
+    last_row = math.inf
     for place, text in bar.ticks:
         row = top + length - 1 - round(place * (length - 1))
-        if last - row < 22:
+        if last_row - row < 22:  # numbers would touch
             continue
-        last = row
-        draw.line((left + wide + 1, row, left + wide + 5, row), fill=PALE_INK)
-        draw.text((left + wide + 9, row), text, fill=PALE_INK, font=small, anchor="lm")
+        last_row = row
+        draw.line((right + 1, row, right + 5, row), fill=PALE_INK)
+        draw.text((right + 9, row), text, fill=PALE_INK, font=small, anchor="lm")
     draw.text((left - 2, top + length + 5), bar.unit, fill=PALE_INK, font=small, anchor="la")
 
 
@@ -277,55 +295,57 @@ def draw_sheet(
     if not panels:
         where = "pictures"
         raise InputError(where, "found none, expected at least one")
-    drawn = [draw_panel(panel) for panel in panels]
-    grid = [drawn[first : first + columns] for first in range(0, len(drawn), columns)]
+    images = [draw_panel(panel) for panel in panels]
+    grid = [images[first : first + columns] for first in range(0, len(images), columns)]
     width = max(sum(image.width for image in row) for row in grid) + MARGIN
-    lines = wrap(head, font(_KEY), width - 2 * MARGIN)
-    head_height = HEAD_HEIGHT + 30 * (len(lines) - 1) if head else MARGIN
-    rows = key_rows(key, width - LEFT - MARGIN)
-    heights = [max(image.height for image in row) for row in grid]
-    height = head_height + sum(heights) + KEY_HEIGHT * len(rows) + MARGIN
+    row_heights = [max(image.height for image in row) for row in grid]
+    head_lines = wrap(head, font(_KEY), width - 2 * MARGIN) if head else []
+    head_height = MARGIN
+    if head_lines:
+        head_height = HEAD_HEIGHT + 30 * (len(head_lines) - 1)
+    keys = key_rows(key, width - LEFT - MARGIN)
+    height = head_height + sum(row_heights) + KEY_HEIGHT * len(keys) + MARGIN
+
     canvas = Image.new("RGB", (width, height), "white")
     draw = ImageDraw.Draw(canvas)
-    for number, line in enumerate(lines if head else ()):
+    for number, line in enumerate(head_lines):
         draw.text((MARGIN, MARGIN + 30 * number), line, fill=INK, font=font(_KEY))
     top = head_height
-    for images, row_height in zip(grid, heights, strict=True):
-        left_edge = 0
-        for image in images:
-            canvas.paste(image, (left_edge, top))
-            left_edge += image.width
+    for row, row_height in zip(grid, row_heights, strict=True):
+        left = 0
+        for image in row:
+            canvas.paste(image, (left, top))
+            left += image.width
         top += row_height
-    _draw_key(draw, rows, top)
+    _draw_key(draw, keys, top)
     return canvas
 
 
 def choose_columns(panels: Sequence[Panel], max_height: int) -> int:
     """Return the number of pictures per row that makes a sheet about as wide as high."""
-
-    def size(columns: int) -> tuple[int, int]:
-        rows = -(-len(panels) // columns)
-        wide, high = (max(panel.size[axis] for panel in panels) for axis in (0, 1))
-        return columns * (wide + LEFT + RIGHT), rows * (high + FRAME_HEIGHT)
+    panel_width = max(panel.size[0] for panel in panels) + LEFT + RIGHT
+    panel_height = max(panel.size[1] for panel in panels) + FRAME_HEIGHT
 
     def badness(columns: int) -> tuple[bool, float]:
-        width, height = size(columns)
-        free = -len(panels) % columns
-        return height > max_height, abs(math.log(width / height / 1.2)) + 0.6 * free
+        rows = -(-len(panels) // columns)
+        width = columns * panel_width
+        height = rows * panel_height
+        n_free = -len(panels) % columns
+        return height > max_height, abs(math.log(width / height / 1.2)) + 0.6 * n_free
 
     return min(range(1, min(len(panels), 4) + 1), key=badness)
 
 
-def key_rows(key: Key, width: int) -> list[list[tuple[int, str, Colour]]]:
-    """Return the entries of a key in rows that fit the width, each with its left edge [pixels]."""
-    rows: list[list[tuple[int, str, Colour]]] = []
+def key_rows(key: Key, width: int) -> list[list[KeyEntry]]:
+    """Return the entries of a key in rows that fit the width [pixels]."""
+    rows: list[list[KeyEntry]] = []
     left = width
     for text, colour in key:
         needed = 40 + round(font(_KEY).getlength(text)) + 32
         if not rows or left + needed > width:
             rows.append([])
             left = 0
-        rows[-1].append((left, text, colour))
+        rows[-1].append(KeyEntry(left, text, colour))
         left += needed
     return rows
 

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from prc_cli.core.pages import render_page
 from prc_cli.core.types import F64, U8
-from prc_cli.imaging.cloud import bounds, fullest_azimuth
-from prc_cli.imaging.pictures import colour_map, range_limits, value_limits
+from prc_cli.imaging.cloud import Box, bounds, fullest_azimuth
+from prc_cli.imaging.pictures import Limits, colour_map, range_limits, value_limits
 from prc_cli.imaging.sheet import Key, Panel, draw_panel
 
 
@@ -35,15 +35,14 @@ def html_page(
     foot: str,
 ) -> str:
     """Return an HTML page of pictures with captions under headings, without external files."""
+
+    def png_text(panel: Panel) -> str:
+        buffer = io.BytesIO()
+        draw_panel(panel, with_title=False).save(buffer, format="PNG", optimize=False)
+        return base64.b64encode(buffer.getvalue()).decode("ascii")
+
     values = {"title": title, "head": head, "sections": sections, "key": key, "foot": foot}
-    return render_page("prc_cli.imaging", "pictures.html", values, {"png": _png_text})
-
-
-def _png_text(panel: Panel) -> str:
-    """Return a picture as the bytes of a PNG file, base64."""
-    buffer = io.BytesIO()
-    draw_panel(panel, with_title=False).save(buffer, format="PNG", optimize=False)
-    return base64.b64encode(buffer.getvalue()).decode("ascii")
+    return render_page("prc_cli.imaging", "pictures.html", values, {"png": png_text})
 
 
 _ROOM = 0.5
@@ -117,18 +116,22 @@ def viewer_page(
 ) -> str:
     """Return the page."""
     n_lines, n_columns = shots.classes.shape
-    near, far = range_limits(shots.range_m)
+    quantities = {"range": Values("range", shots.range_m, 0.001, 3, is_logarithmic=True)}
+    quantities.update(shots.more)
+    box: dict[str, Any] = {"centre": [0.0, 0.0, 0.0], "size": [1.0, 1.0, 1.0], "azimuth": 0.0}
+    if shots.xyz_m is not None:
+        box, coordinates = _placed(shots.xyz_m, shots.framed)
+        quantities.update(coordinates)
+
+    # the description of every plane, and its values as text
     planes: dict[str, dict[str, Any]] = {
         "class": {"bytes": 1, "n": shots.classes.size, "title": "class"}
     }
     texts = {"class": pack(shots.classes.ravel().astype(np.uint32), 1)}
-    box: dict[str, Any] = {"centre": [0.0, 0.0, 0.0], "size": [1.0, 1.0, 1.0], "azimuth": 0.0}
-    more = {"range": Values("range", shots.range_m, 0.001, 3, is_logarithmic=True), **shots.more}
-    if shots.xyz_m is not None:
-        box, places = _placed(shots.xyz_m, shots.framed)
-        more = {**more, **places}
-    for name, quantity in more.items():
-        planes[name], texts[name] = _plane(quantity, (near, far) if name == "range" else None)
+    for name, quantity in quantities.items():
+        limits = range_limits(shots.range_m) if name == "range" else None
+        planes[name], texts[name] = _plane(quantity, limits)
+
     order = range(n_columns) if shots.order is None else shots.order
     about = {
         "lines": {"n": n_lines, "first": shots.first[0], "step": shots.step[0]},
@@ -142,9 +145,8 @@ def viewer_page(
         "ramp": colour_map().tolist(),
     }
     files = resources.files("prc_cli.imaging")
-    style, script = (
-        (files / f"viewer.{kind}").read_text(encoding="utf-8") for kind in ("css", "js")
-    )
+    style = (files / "viewer.css").read_text(encoding="utf-8")
+    script = (files / "viewer.js").read_text(encoding="utf-8")
     values = {
         "title": title,
         "head": head,
@@ -167,28 +169,31 @@ def _hash(text: str) -> str:
 
 def _placed(xyz_m: F64, framed: NDArray[np.bool_]) -> tuple[dict[str, Any], dict[str, Values]]:
     """Return the box to look at, and the coordinates of the shots near it."""
-    seen = np.isfinite(xyz_m).all(axis=2)
-    inside = xyz_m[seen & framed] if (seen & framed).any() else xyz_m[seen]
+    has_place = np.isfinite(xyz_m).all(axis=2)
+    points = xyz_m[has_place & framed]
+    if not len(points):
+        points = xyz_m[has_place]
+    if not len(points):
+        points = np.zeros((1, 3))
+    box = bounds(points)
+    inside = points[box.contains(points)]
     if not len(inside):
-        inside = np.zeros((1, 3))
-    low, high = bounds(inside)
-    room = _ROOM * float((high - low).max())
-    near = seen & (xyz_m >= low - room).all(axis=2) & (xyz_m <= high + room).all(axis=2)
-    held = inside[((inside >= low) & (inside <= high)).all(axis=1)]
-    azimuth = fullest_azimuth(held if len(held) else inside, _SEEN_DEG, 1200, 700)
-    box = {
-        "centre": ((low + high) / 2).tolist(),
-        "size": np.maximum(high - low, 0.1).tolist(),
-        "azimuth": azimuth,
+        inside = points
+    page_box = {
+        "centre": ((box.low + box.high) / 2).tolist(),
+        "size": np.maximum(box.high - box.low, 0.1).tolist(),
+        "azimuth": fullest_azimuth(inside, _SEEN_DEG, 1200, 700),
     }
-    places = {
-        axis: Values(axis, np.where(near, xyz_m[..., k], np.nan), 0.001, is_scale=axis == "z")
-        for k, axis in enumerate("xyz")
-    }
-    return box, places
+    room = _ROOM * float((box.high - box.low).max())
+    near = has_place & Box(box.low - room, box.high + room).contains(xyz_m)
+    coordinates = {}
+    for k, axis in enumerate("xyz"):
+        values = np.where(near, xyz_m[..., k], np.nan)
+        coordinates[axis] = Values(axis, values, 0.001, is_scale=axis == "z")
+    return page_box, coordinates
 
 
-def _plane(quantity: Values, limits: tuple[float, float] | None) -> tuple[dict[str, Any], str]:
+def _plane(quantity: Values, limits: Limits | None) -> tuple[dict[str, Any], str]:
     """Return the description of a plane, and its packed values."""
     values = np.asarray(quantity.values, np.float64).ravel()
     known = np.isfinite(values)
@@ -196,10 +201,11 @@ def _plane(quantity: Values, limits: tuple[float, float] | None) -> tuple[dict[s
     if known.any():
         low = float(values[known].min())
         high = float(values[known].max())
-    most = 256**quantity.n_bytes - 2
-    scale = quantity.step * max(1, math.ceil((high - low) / quantity.step / most))
-    packed = np.zeros(len(values), np.int64)
-    packed[known] = np.rint((values[known] - low) / scale).astype(np.int64) + 1
+    n_steps = (high - low) / quantity.step
+    most_steps = 256**quantity.n_bytes - 2
+    scale = quantity.step * max(1, math.ceil(n_steps / most_steps))
+    codes = np.zeros(len(values), np.int64)
+    codes[known] = np.rint((values[known] - low) / scale).astype(np.int64) + 1
     about: dict[str, Any] = {
         "bytes": quantity.n_bytes,
         "n": len(values),
@@ -214,13 +220,12 @@ def _plane(quantity: Values, limits: tuple[float, float] | None) -> tuple[dict[s
     elif quantity.is_scale:
         about["low"], about["high"] = value_limits(values) if limits is None else limits
         about["log"] = quantity.is_logarithmic
-    return about, pack(packed.astype(np.uint32), quantity.n_bytes)
+    return about, pack(codes.astype(np.uint32), quantity.n_bytes)
 
 
 def pack(integers: NDArray[np.uint32], n_bytes: int) -> str:
     """Return integers below 256 ** n_bytes, (n,) uint32, as text."""
     steps = np.diff(integers, prepend=np.uint32(0)).astype("<u4")
     planes = steps.view(np.uint8).reshape(-1, 4).T[:n_bytes]
-    return base64.b64encode(zlib.compress(np.ascontiguousarray(planes).tobytes(), 6)).decode(
-        "ascii"
-    )
+    compressed = zlib.compress(np.ascontiguousarray(planes).tobytes(), 6)
+    return base64.b64encode(compressed).decode("ascii")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from prc_cli.imaging.cloud import (
     fullest_azimuth,
     splat_for,
 )
-from prc_cli.imaging.pictures import Bar
+from prc_cli.imaging.pictures import Bar, Limits
 from prc_cli.imaging.sheet import Axis, Key, Panel, round_step
 from prc_cli.jobs.classify import Progress, classify, open_stream
 from prc_cli.jobs.render.colours import (
@@ -165,7 +165,8 @@ def draw_cloud(
     framed = _framed(kept, classes, words)
     camera = _camera(framed, options)
     limits = _limits(colour, kept, source)
-    buffer = DepthBuffer(camera, splat_for(sample.n_seen, camera.size))
+    width, height = camera.size
+    buffer = DepthBuffer(camera, splat_for(sample.n_seen, width * height))
     counts = np.zeros(len(words.table.names), np.int64)
     for points in cloud.points((colour,) if colour in _VALUES else ()):
         for first in range(0, len(points.xyz), POINTS_AT_ONCE):
@@ -324,9 +325,9 @@ def _seen_from(camera: Camera) -> str:
     return f"from azimuth {round(azimuth, 3) % 360:g}°, {round(up, 3):g}° up"
 
 
-def _limits(colour: ColourBy, sample: F64, source: Path) -> tuple[float, float]:
+def _limits(colour: ColourBy, sample: F64, source: Path) -> Limits:
     if colour == "class":
-        return 0.0, 1.0
+        return Limits(0.0, 1.0)
     values = sample[:, 2 if colour == "height" else 3 + _VALUES.index(colour)]
     if not np.isfinite(values).any():
         problem = f"the points have no {colour} to be coloured by"
@@ -339,7 +340,7 @@ def _add(
     points: Points,
     part: slice,
     colour: ColourBy,
-    limits: Sequence[float],
+    limits: Limits,
     words: Vocabulary,
     classes: RecordClasses | None,
     counts: I64,

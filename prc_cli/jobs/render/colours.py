@@ -27,6 +27,7 @@ from prc_cli.imaging.pictures import (
     MISSING_COLOUR,
     NOT_SCORED_COLOUR,
     Bar,
+    Limits,
     critical_picture,
     range_bar,
     range_limits,
@@ -47,9 +48,9 @@ LARGEST_RECORD = 4 << 20
 class Scale(NamedTuple):
     """How a value is coloured."""
 
-    limits: Callable[..., tuple[float, float]]
+    limits: Callable[..., Limits]
     picture: Callable[..., U8]
-    bar: Callable[[tuple[float, float]], Bar]
+    bar: Callable[[Limits], Bar]
 
 
 SCALES = {
@@ -59,7 +60,7 @@ SCALES = {
     "ground": Scale(value_limits, value_picture, partial(value_bar, unit="m")),
     "height": Scale(value_limits, value_picture, partial(value_bar, unit="m")),
     # per cent; lower values are drawn as 50
-    "confidence": Scale(lambda _: (50.0, 100.0), value_picture, partial(value_bar, unit="%")),
+    "confidence": Scale(lambda _: Limits(50.0, 100.0), value_picture, partial(value_bar, unit="%")),
 }
 
 

@@ -21,6 +21,7 @@ from prc_cli.evaluation.mapping import Side
 from prc_cli.imaging.pictures import (
     AGREE_COLOUR,
     Bar,
+    Limits,
     difference_picture,
     mask_picture,
     segment_picture,
@@ -606,7 +607,7 @@ class _Sheet:
         )
 
     def _paint(
-        self, step: str, planes: Images, scales: Mapping[str, tuple[float, float]]
+        self, step: str, planes: Images, scales: Mapping[str, Limits]
     ) -> tuple[U8, Bar | None]:
         # the (lines, columns, 3) picture of some of the drawn lines, and its colour bar
         if step == "difference":
