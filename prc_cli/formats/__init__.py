@@ -14,7 +14,7 @@ from prc_cli.formats.bags import METADATA, parts_of
 from prc_cli.formats.foreign import hint_of
 from prc_cli.formats.las import SUFFIXES as LAS_SUFFIXES
 from prc_cli.formats.options import InputConfig, Layout
-from prc_cli.formats.records import RecordSource
+from prc_cli.formats.records import Source
 from prc_cli.formats.registry import by_suffix
 
 _BAG_PARTS = (".db3", ".mcap")
@@ -133,7 +133,7 @@ def _not_a_scan(path: Path) -> str:
     return hint_of(path) or "rename the file or convert it"
 
 
-def open_source(path: Path, layout: Layout | None = None) -> RecordSource | None:
+def open_source(path: Path, layout: Layout | None = None) -> Source | None:
     """Open an input as a list of records; None for range images and organised scans."""
     form = by_suffix("scans")[check_input(path)]
     return form.open_records(path, layout) if form.records else None

@@ -15,7 +15,7 @@ import numpy as np
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import F64
 from prc_cli.formats.options import FACTORS
-from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
+from prc_cli.formats.records import DerivedSource, RecordChunk, Source
 
 PERIODS_S = {3600.0: "hour", 86400.0: "day", 604800.0: "GPS week"}
 """Times after which clocks restart [s]."""
@@ -117,7 +117,7 @@ class Unwrapped:
 class ClockSource(DerivedSource):
     """Records whose times are seconds and do not restart."""
 
-    source: RecordSource
+    source: Source
     unit: str
     _clocks: list[Unwrapped] = field(default_factory=list)
     """The clock of the last reading; empty before."""
@@ -154,7 +154,7 @@ class ClockSource(DerivedSource):
             )
 
 
-def with_clock(source: RecordSource, time_unit: str = "auto") -> RecordSource:
+def with_clock(source: Source, time_unit: str = "auto") -> Source:
     """Return a source whose times are seconds and do not restart; as it is without times."""
     if "time" not in source.dimensions:
         return source

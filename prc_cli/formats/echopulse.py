@@ -100,7 +100,7 @@ def is_count_file(path: Path) -> bool:
 
 
 class EchoPulseSource(FieldSource):
-    """Pulses and echoes as a :class:`prc_cli.formats.records.RecordSource`."""
+    """Pulses and echoes as a :class:`prc_cli.formats.records.Source`."""
 
     def __init__(self, path: Path) -> None:
         count = _Array.of(path)

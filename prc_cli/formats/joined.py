@@ -17,7 +17,7 @@ from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import ScanStream
 from prc_cli.formats import check_input, open_source
 from prc_cli.formats.options import InputConfig, Layout
-from prc_cli.formats.records import RecordChunk, RecordSource
+from prc_cli.formats.records import RecordChunk, Source
 from prc_cli.formats.registry import by_suffix
 
 GAP_S = 1.0
@@ -40,7 +40,7 @@ class JoinedSource:
     Numbers of records go on from file to file.
     """
 
-    parts: tuple[RecordSource, ...]
+    parts: tuple[Source, ...]
 
     @property
     def path(self) -> str:
@@ -166,7 +166,7 @@ def open_joined(paths: Sequence[Path], layout: Layout | None = None) -> JoinedSo
     InputError
         If a file is a range image or an organised scan.
     """
-    parts: list[RecordSource] = []
+    parts: list[Source] = []
     for path in paths:
         source = open_source(path, layout)
         if source is None:
@@ -201,7 +201,7 @@ def find_break(joined: JoinedSource, *, in_order: bool = True) -> Break | None:
     return None
 
 
-def _why_apart(before: RecordSource, after: RecordSource) -> str:
+def _why_apart(before: Source, after: Source) -> str:
     m_before = before.facts.points_per_line
     m_after = after.facts.points_per_line
     if m_before != m_after:
@@ -223,5 +223,5 @@ def _why_apart(before: RecordSource, after: RecordSource) -> str:
     return f"it begins {step_s:.3f} s after the end of the file before" if step_s > GAP_S else ""
 
 
-def _count(source: RecordSource) -> int:
+def _count(source: Source) -> int:
     return sum(chunk.n for chunk in source.chunks(source.dimensions[:1]))

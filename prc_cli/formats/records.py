@@ -77,7 +77,7 @@ class RecordChunk:
         return np.arange(self.first_record, self.first_record + self.n, dtype=np.int64)
 
 
-class RecordSource(Protocol):
+class Source(Protocol):
     """A file of records, decoded on demand."""
 
     @property
@@ -110,7 +110,7 @@ class RecordSource(Protocol):
         """
 
 
-def check_names(source: RecordSource, names: tuple[str, ...]) -> None:
+def check_names(source: Source, names: tuple[str, ...]) -> None:
     """Refuse names of dimensions that a source does not have."""
     known = source.dimensions
     for name in names:
@@ -226,7 +226,7 @@ class FieldSource:
 class DerivedSource:
     """Base class of sources whose ``chunks`` change the records of another source."""
 
-    source: RecordSource
+    source: Source
 
     @property
     def path(self) -> str:
@@ -385,7 +385,7 @@ class Contents:
         }
 
 
-def watched_contents(source: RecordSource, contents: Contents) -> Iterator[RecordChunk]:
+def watched_contents(source: Source, contents: Contents) -> Iterator[RecordChunk]:
     """Read a source once and count its records on the way."""
     present = set(source.dimensions)
     classes = next((name for name in CLASS_NAMES if name in present), None)

@@ -21,7 +21,7 @@ from prc_cli.core.files import suffix_of
 if TYPE_CHECKING:
     from prc_cli.core.stream import ScanStream
     from prc_cli.formats.options import InputConfig, Layout
-    from prc_cli.formats.records import CodeSource, RecordSource
+    from prc_cli.formats.records import CodeSource, Source
     from prc_cli.formats.writing.base import StagedWriter, StreamShape
     from prc_cli.formats.writing.columns import LabelOutput
 
@@ -65,7 +65,7 @@ class Format:
     scans: tuple[str, ...] = ()
     """Suffixes of scans that can be read."""
     records: str = ""
-    """Opens a scan as a list of records: ``(path, layout) -> RecordSource``."""
+    """Opens a scan as a list of records: ``(path, layout) -> Source``."""
     images: str = ""
     """Opens a scan of lines and columns: ``(path, configuration, lines at once) -> ScanStream``."""
     has_layout: bool = False
@@ -91,14 +91,14 @@ class Format:
     open_codes: str = ""
     """Opens them: ``(path, dimension) -> CodeSource``."""
     columns: str = ""
-    """Opens the columns of a file that is not a list of records: ``(path) -> RecordSource``."""
+    """Opens the columns of a file that is not a list of records: ``(path) -> Source``."""
 
     @property
     def holds_all(self) -> bool:
         """Whether a written stream loses no value, as tables and clouds do not."""
         return self.holds == EVERYTHING
 
-    def open_records(self, path: Path, layout: Layout | None) -> RecordSource:
+    def open_records(self, path: Path, layout: Layout | None) -> Source:
         """Open a scan as a list of records."""
         return _call(self.records, path, layout)  # type: ignore[no-any-return]
 
@@ -118,7 +118,7 @@ class Format:
         """Open the class codes of a file."""
         return _call(self.open_codes, path, dimension)  # type: ignore[no-any-return]
 
-    def column_source(self, path: Path) -> RecordSource | None:
+    def column_source(self, path: Path) -> Source | None:
         """Open the columns of a file as records; None if it has none."""
         if self.records:
             return self.open_records(path, None)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
-from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
+from prc_cli.formats.records import DerivedSource, RecordChunk, Source
 from prc_cli.formats.writing.disk import scratch_errors, scratch_file
 
 RUN_RECORDS = 1 << 19
@@ -28,8 +28,8 @@ _RECORD = "input record"
 
 
 def sorted_by_time(
-    source: RecordSource, *, run_records: int = RUN_RECORDS, merge_records: int = MERGE_RECORDS
-) -> RecordSource:
+    source: Source, *, run_records: int = RUN_RECORDS, merge_records: int = MERGE_RECORDS
+) -> Source:
     """Return a source with the same records sorted by time."""
     if "time" not in source.dimensions:
         problem = f"no time to sort by, found the dimensions {', '.join(source.dimensions)}"

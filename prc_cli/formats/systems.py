@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import F64
-from prc_cli.formats.records import AXES, DerivedSource, RecordChunk, RecordSource
+from prc_cli.formats.records import AXES, DerivedSource, RecordChunk, Source
 
 REPROJECT = (
     "reproject it to metres, for example: pdal translate IN.las OUT.las reprojection "
@@ -121,7 +121,7 @@ def looks_geographic(xyz: F64) -> bool:
     return bool(on_earth and 0.0 < across < LONGEST_DEG and spread[2] > UPRIGHT * across)
 
 
-def refuse_degrees(source: RecordSource) -> None:
+def refuse_degrees(source: Source) -> None:
     """Raise an error if the coordinates are degrees, because ranges are computed from metres."""
     if not set(AXES) <= set(source.dimensions):
         return
@@ -134,7 +134,7 @@ def refuse_degrees(source: RecordSource) -> None:
         raise InputError(source.path, problem, REPROJECT)
 
 
-def first_look_geographic(source: RecordSource) -> bool:
+def first_look_geographic(source: Source) -> bool:
     """Whether the first points of a source are in degrees by their size."""
     first = next(iter(source.chunks(AXES)), None)
     return first is not None and looks_geographic(points_of(first.values))
@@ -145,7 +145,7 @@ def points_of(values: dict[str, NDArray[Any]]) -> F64:
     return np.stack([np.asarray(values[axis], np.float64) for axis in AXES], axis=1)
 
 
-def in_metres(source: RecordSource) -> RecordSource:
+def in_metres(source: Source) -> Source:
     """Return a source with x, y, z in metres, by the unit of its coordinate system."""
     units = units_of_system(source.facts.crs_wkt)
     if (

@@ -31,7 +31,7 @@ from prc_cli.formats.outputs import (
     stream_format,
     stream_suffix,
 )
-from prc_cli.formats.records import NO_CODE, RecordSource
+from prc_cli.formats.records import NO_CODE, Source
 from prc_cli.formats.registry import Held, format_of, is_cloud
 from prc_cli.formats.writing.base import StreamItem, StreamShape
 from prc_cli.formats.writing.columns import LinesApart
@@ -264,7 +264,7 @@ class OpenedItems:
     info: StreamInfo
     shape: StreamShape
     items: Iterator[StreamItem]
-    source: RecordSource | None
+    source: Source | None
     stream: ScanStream
     carried: Carried | None = None
     notices: tuple[str, ...] = ()

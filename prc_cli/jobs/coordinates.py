@@ -26,7 +26,7 @@ from prc_cli.core.threads import closing_items
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.formats import open_source
 from prc_cli.formats.options import Layout
-from prc_cli.formats.records import NO_CODE, RecordChunk, RecordSource
+from prc_cli.formats.records import NO_CODE, RecordChunk, Source
 from prc_cli.formats.writing.columns import (
     SPACING_M,
     AtStations,
@@ -221,7 +221,7 @@ def placed_source(
 
 
 def axes_of(
-    records: RecordSource | None,
+    records: Source | None,
     stream: ScanStream,
     first: ScanBlock,
     config: RunConfig,
@@ -374,7 +374,7 @@ class Carried:
 
 
 def carry(
-    records: RecordSource,
+    records: Source,
     class_name: str | None,
     xyz: tuple[str, ...],
     output: Path,
@@ -393,7 +393,7 @@ def carry(
 
 
 def _rows_of(
-    records: RecordSource,
+    records: Source,
     class_name: str | None,
     xyz: tuple[str, ...],
     fields: np.dtype[Any],

@@ -34,7 +34,7 @@ from prc_cli.formats.records import (
     Contents,
     DerivedSource,
     RecordChunk,
-    RecordSource,
+    Source,
     watched_contents,
 )
 from prc_cli.formats.sorting import sorted_by_time
@@ -264,7 +264,7 @@ def _inspect(path: Path, loaded: LoadedConfig, opened: ScanStream | None = None)
 def _inspect_records(
     path: Path,
     loaded: LoadedConfig,
-    source: RecordSource,
+    source: Source,
     stream: ScanStream | None,
     refusal: InputError | ConfigError | None,
     order: OrderEvidence | None,
@@ -320,7 +320,7 @@ def _inspect_records(
     )
 
 
-def _with_rates(refused: Inspection, source: RecordSource, inputs: InputConfig) -> Inspection:
+def _with_rates(refused: Inspection, source: Source, inputs: InputConfig) -> Inspection:
     """Measure the rates of a scanner from its times, and list the options to type."""
     is_sorted = inputs.order == "sort-time"
     in_order = is_sorted or refused.order is None or refused.order.is_chronological
@@ -338,9 +338,7 @@ def _with_rates(refused: Inspection, source: RecordSource, inputs: InputConfig) 
     return replace(refused, rates=rates, missing=tuple(options), problem=problem, hint=hint)
 
 
-def _with_other_rates(
-    inspection: Inspection, source: RecordSource, inputs: InputConfig
-) -> Inspection:
+def _with_other_rates(inspection: Inspection, source: Source, inputs: InputConfig) -> Inspection:
     """Note that the given rates differ from the measured ones."""
     if (
         not (inputs.lines.startswith("time:") and inputs.columns.startswith("time:"))
@@ -367,7 +365,7 @@ def _shown_rates(rates: TimedScan) -> str:
     )
 
 
-def _measured_rates(source: RecordSource) -> TimedScan | None:
+def _measured_rates(source: Source) -> TimedScan | None:
     """Measure the rates from the first shots."""
     names = ("time", "z") if "z" in source.dimensions else ("time",)
     parts = [
@@ -447,7 +445,7 @@ def _try_open(
 
 def _describe(
     path: Path,
-    source: RecordSource | None,
+    source: Source | None,
     stream: ScanStream | None,
     order: OrderEvidence | None,
     refusal: InputError | ConfigError | None,
@@ -556,7 +554,7 @@ def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32
     return facts, flat if ranges is not None else None
 
 
-def _time_order(source: RecordSource, contents: Contents) -> OrderEvidence | None:
+def _time_order(source: Source, contents: Contents) -> OrderEvidence | None:
     """Read the records once, count their contents, and return the order of the times."""
     watch = OrderWatch.of(source, "trust") if "time" in source.dimensions else None
     for chunk in watched_contents(source, contents):
@@ -608,7 +606,7 @@ class _UnitRanges(DerivedSource):
             yield replace(chunk, values={**chunk.values, "range": np.ones(chunk.n)})
 
 
-def _lines_only(source: RecordSource, inputs: InputConfig) -> ScanStream | None:
+def _lines_only(source: Source, inputs: InputConfig) -> ScanStream | None:
     """Find the lines of an input without ranges; None if they cannot be found."""
     inputs = trusting(source, inputs)
     if inputs.order == "require":

@@ -16,7 +16,7 @@ from prc_cli.core.findings import Finding, Verdict, accept, doubts, refuse
 from prc_cli.formats import open_source
 from prc_cli.formats.clock import with_clock
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.records import RecordSource
+from prc_cli.formats.records import Source
 from prc_cli.formats.systems import in_metres, refuse_degrees
 from prc_cli.formats.trajectory.write import PathTable, check_path_suffix, write_path
 from prc_cli.streams.ranges import metres_of
@@ -124,7 +124,7 @@ def _write(
         raise ConfigError(error.where, error.problem, f"give {system}, or write .csv") from None
 
 
-def _source(path: Path, loaded: LoadedConfig) -> RecordSource:
+def _source(path: Path, loaded: LoadedConfig) -> Source:
     source = open_source(path, loaded.config.layout)
     if source is None:
         raise InputError(
@@ -171,7 +171,7 @@ def hold_against(
     return cloud.drive, comparisons, worst
 
 
-def _positions(source: RecordSource, inputs: InputConfig) -> Positions:
+def _positions(source: Source, inputs: InputConfig) -> Positions:
     """Return the given trajectory, with its orientation if it has one."""
     trajectory = _trajectory(source, inputs, with_turns=True) or _trajectory(
         source, inputs, with_turns=False
@@ -185,9 +185,7 @@ def _positions(source: RecordSource, inputs: InputConfig) -> Positions:
     return Positions(trajectory.time_s, trajectory.xyz_m, frame)
 
 
-def _trajectory(
-    source: RecordSource, inputs: InputConfig, *, with_turns: bool
-) -> Trajectory | None:
+def _trajectory(source: Source, inputs: InputConfig, *, with_turns: bool) -> Trajectory | None:
     """Read the trajectory; None if it has no orientation but ``with_turns`` asks for it."""
     xy_m, z_m = metres_of(inputs, source.facts.crs_wkt)
     try:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64, Mask
-from prc_cli.formats.records import RecordSource
+from prc_cli.formats.records import Source
 from prc_cli.formats.sorting import sorted_by_time
 
 RECORD = "record"
@@ -28,7 +28,7 @@ SORT_RECORDS = 1 << 18
 
 
 def columns_of(
-    source: RecordSource,
+    source: Source,
     names: tuple[str, ...],
     *,
     sort: bool,

@@ -15,7 +15,7 @@ from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import F64, I64, U8, Mask
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.las.read import LasSource
-from prc_cli.formats.records import NO_CODE, CodeSource, DerivedSource, RecordChunk, RecordSource
+from prc_cli.formats.records import NO_CODE, CodeSource, DerivedSource, RecordChunk, Source
 from prc_cli.formats.tables.read import open_table
 from prc_cli.formats.writing.record import dense_line_beside
 from prc_cli.matching.join import CODE, KEY, RECORD, SAME, Columns, columns_of, in_step
@@ -252,9 +252,9 @@ class SideFile:
     codes: CodeSource
     name: str | None
     """Dimension that holds the codes, as it was asked for."""
-    table: RecordSource | None
+    table: Source | None
     """The same file, if it holds more than codes."""
-    points: RecordSource | None
+    points: Source | None
     """The points that labels alone belong to, record by record."""
     dense_line: int | None = None
     """M, where there is a code for every cell, in order; None = not known."""
@@ -277,11 +277,11 @@ class SideFile:
         return cls(codes, dimension, table, points_table, dense_line_beside(path))
 
     @property
-    def sources(self) -> tuple[RecordSource, ...]:
+    def sources(self) -> tuple[Source, ...]:
         """Whatever holds columns, the file itself first."""
         return tuple(source for source in (self.table, self.points) if source is not None)
 
-    def find(self, names: tuple[str, ...]) -> tuple[RecordSource, str] | None:
+    def find(self, names: tuple[str, ...]) -> tuple[Source, str] | None:
         """Return the source that holds the first of some dimensions, and its name there."""
         for source in self.sources:
             for name in names:
@@ -425,7 +425,7 @@ class Side:
                 )
         return finite
 
-    def _place(self, file: SideFile, name: str) -> tuple[RecordSource | None, str] | None:
+    def _place(self, file: SideFile, name: str) -> tuple[Source | None, str] | None:
         """Return the source of a column and its name there; a source of None = it is counted."""
         if name == LINE and self.points_per_line is not None:
             return file.find(_NAMES[LINE]) or (None, _INDEX)
@@ -550,7 +550,7 @@ def _whole(stored: NDArray[Any]) -> I64:
     return np.where(known, wide, UNKNOWN).astype(np.int64)
 
 
-def _columns(source: RecordSource, names: tuple[str, ...]) -> Iterator[Columns]:
+def _columns(source: Source, names: tuple[str, ...]) -> Iterator[Columns]:
     return (chunk.values for chunk in source.chunks(names))
 
 

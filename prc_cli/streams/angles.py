@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats.ranges import continues_run, mark_shots
-from prc_cli.formats.records import RecordSource
+from prc_cli.formats.records import Source
 from prc_cli.streams.columns import (
     MAX_COLUMN,
     AngleGrid,
@@ -321,7 +321,7 @@ def _circular_mean(value: F64) -> float:
     return math.atan2(float(np.sin(value).mean()), float(np.cos(value).mean()))
 
 
-def first_shots(source: RecordSource, scanner: str | None, *beside: str) -> Table:
+def first_shots(source: Source, scanner: str | None, *beside: str) -> Table:
     """Return times, angles, line numbers and more of the first shots of the first scanner."""
     has = source.dimensions
     keys = tuple(name for name in ("time", "angle", "scan_line") if name in has)
@@ -342,7 +342,7 @@ def first_shots(source: RecordSource, scanner: str | None, *beside: str) -> Tabl
     return values
 
 
-def shots_in_time(source: RecordSource, names: tuple[str, ...], most: int) -> Iterator[Table]:
+def shots_in_time(source: Source, names: tuple[str, ...], most: int) -> Iterator[Table]:
     """Yield times and other dimensions of the first shots, about ``most``.
 
     Of returns with one time only the first is kept.

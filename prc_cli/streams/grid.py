@@ -19,7 +19,7 @@ from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock, 
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import choose_returns
-from prc_cli.formats.records import RecordChunk, RecordSource
+from prc_cli.formats.records import RecordChunk, Source
 from prc_cli.formats.sorting import sorted_by_time
 from prc_cli.streams.columns import (
     INTENSITY,
@@ -53,7 +53,7 @@ _CHOSEN = "chosen return"
 
 
 def open_grid(
-    source: RecordSource,
+    source: Source,
     config: InputConfig,
     *,
     line_hz: float | None = None,
@@ -119,7 +119,7 @@ class GridStream(Brief):
     """Records as a stream of blocks; see :func:`open_grid`."""
 
     info: StreamInfo
-    source: RecordSource
+    source: Source
     rules: GridRules
     setups: dict[int, ScannerSetup]
     """By scanner."""

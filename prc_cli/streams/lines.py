@@ -19,7 +19,7 @@ from prc_cli.core.stream import ReadTally
 from prc_cli.core.types import F32, F64, I64, Mask
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import continues_run, mark_shots
-from prc_cli.formats.records import RecordChunk, RecordSource
+from prc_cli.formats.records import RecordChunk, Source
 from prc_cli.streams.angles import Sweep, WrapState, lines_by_wrap
 from prc_cli.streams.columns import (
     LINE,
@@ -491,7 +491,7 @@ Prepare: TypeAlias = Callable[[RecordChunk, Table], tuple[Table, ReadTally]]
 
 
 def whole_lines(
-    source: RecordSource,
+    source: Source,
     rules: GridRules,
     line_rules: LineRulesOf,
     prepare: Prepare | None = None,
@@ -544,7 +544,7 @@ TURN_RECORDS = 1 << 16
 """First records that show whether rings fire in turns, for any chunks of the reader."""
 
 
-def scanners_in_turns(source: RecordSource, rules: GridRules) -> frozenset[int]:
+def scanners_in_turns(source: Source, rules: GridRules) -> frozenset[int]:
     """Return the scanners whose rings fire in another order than they lie, by the first records."""
     if not rules.has("time") or not (rules.column_dimension or _has_all_shots(rules)):
         return frozenset()
@@ -579,7 +579,7 @@ def _columns_of(records: Table, rules: GridRules) -> NDArray[Any]:
 
 
 def _last_lines(
-    source: RecordSource,
+    source: Source,
     rules: GridRules,
     line_rules: LineRulesOf,
     states: dict[int, ScanState],
@@ -619,7 +619,7 @@ def _check_late(path: str, state: ScanState) -> None:
 
 
 def first_records(
-    source: RecordSource,
+    source: Source,
     scanner: str | None,
     names: tuple[str, ...],
     limit: int,
@@ -677,7 +677,7 @@ def check_partial_line(
     n_shots: int,
     points_per_line: int,
     what: str = "records",
-    source: RecordSource | None = None,
+    source: Source | None = None,
 ) -> None:
     """Refuse a last line that is cut short.
 
@@ -704,7 +704,7 @@ def check_partial_line(
     raise InputError(path, problem, hint)
 
 
-def first_ranges(source: RecordSource) -> F32:
+def first_ranges(source: Source) -> F32:
     """Return the first ranges of a source, (n,) float32 [its unit]; NaN = missing."""
     parts: list[F32] = []
     kept = 0

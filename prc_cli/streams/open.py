@@ -27,7 +27,7 @@ from prc_cli.formats.ranges import refuse_scale
 from prc_cli.formats.systems import in_metres, refuse_degrees
 
 if TYPE_CHECKING:
-    from prc_cli.formats.records import RecordSource
+    from prc_cli.formats.records import Source
     from prc_cli.streams.grid import GridStream
     from prc_cli.streams.registered.drive import Drive
     from prc_cli.streams.registered.spinning_drive import SpinningDrive
@@ -99,8 +99,8 @@ def open_input(
 
 
 def _with_lines(
-    source: RecordSource, config: InputConfig
-) -> tuple[RecordSource, InputConfig, tuple[Assumption, ...]]:
+    source: Source, config: InputConfig
+) -> tuple[Source, InputConfig, tuple[Assumption, ...]]:
     """Add lines and columns found from points; return the source, its rules and assumptions."""
     if config.lines.startswith("elevation:"):
         from prc_cli.streams.rules import with_elevation

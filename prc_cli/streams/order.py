@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import OrderError
 from prc_cli.core.stream import MAX_RINGS, ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F64, I64, Mask
-from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
+from prc_cli.formats.records import DerivedSource, RecordChunk, Source
 
 Policy: TypeAlias = Literal["require", "trust", "sort-time"]
 """Policy for records out of order (``input.order``)."""
@@ -167,7 +167,7 @@ class OrderWatch:
         """Last time of every run that has ended."""
 
     @classmethod
-    def of(cls, source: RecordSource, policy: Policy) -> OrderWatch:
+    def of(cls, source: Source, policy: Policy) -> OrderWatch:
         """Return an order check for the times of a source."""
         return cls(source.path, policy, source.facts.time_name)
 
@@ -322,7 +322,7 @@ def fire_in_turns(time_s: F64, column: NDArray[Any]) -> bool:
 class RingOrderWatch:
     """Checks the times of every ring by itself; a ring has a column."""
 
-    def __init__(self, source: RecordSource, policy: Policy) -> None:
+    def __init__(self, source: Source, policy: Policy) -> None:
         self._source = source
         self._policy = policy
         self._rings: dict[int, OrderWatch] = {}
@@ -507,7 +507,7 @@ def week_steps(chunk: RecordChunk) -> int:
     return int(chunk.values[STEPS][0]) if STEPS in chunk.values else 0
 
 
-def judge_first_records(source: RecordSource) -> None:
+def judge_first_records(source: Source) -> None:
     """Refuse a source whose first chunk is not chronological."""
     if "time" not in source.dimensions:
         return

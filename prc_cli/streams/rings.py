@@ -26,7 +26,7 @@ from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock, 
 from prc_cli.core.types import F32, F64, I64, Mask
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import refuse_scale
-from prc_cli.formats.records import RecordSource
+from prc_cli.formats.records import Source
 from prc_cli.formats.sensor_frame import NARROW_RAD, find_frame, spread_of_cones
 from prc_cli.streams.columns import (
     INTENSITY,
@@ -199,7 +199,7 @@ def turns_in_order(frame: Table) -> float:
     return float(step.sum()) / _TURN if is_ordered else 0.0
 
 
-def _several_turns(source: RecordSource, n_turns: float, frame: Table) -> InputError:
+def _several_turns(source: Source, n_turns: float, frame: Table) -> InputError:
     """Return the error of a file of several turns, with the rate of its columns if known."""
     problem = f"the file holds {n_turns:.1f} turns of the scanner, expected one"
     if RING in frame and not _rise(frame[RING], frame[XYZ]):
@@ -400,7 +400,7 @@ class RingStream:
             yield cut(self.frame, first, min(first + BLOCK_LINES, n_lines))
 
 
-def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
+def open_rings(source: Source, config: InputConfig) -> RingStream:
     """Read a whole frame and arrange it in vertical lines."""
     _check_rules(config)
     refuse_scale(config, source.path, "its ranges are lengths of x, y, z")
@@ -478,7 +478,7 @@ def _check_rules(config: InputConfig) -> None:
             raise ConfigError(f"input.{key}", problem, "leave the key out")
 
 
-def _read(source: RecordSource, config: InputConfig) -> tuple[Table, int, ReadTally]:
+def _read(source: Source, config: InputConfig) -> tuple[Table, int, ReadTally]:
     rule = "sensor-xyz" if config.range == "auto" else config.range
     ranges = open_ranges(rule, source.dimensions, source.path, config, crs_wkt=None)
     beside = tuple(name for name in (INTENSITY, RING) if name in source.dimensions)

@@ -31,7 +31,7 @@ from prc_cli.formats.records import (
     STANDARD_NAMES,
     DerivedSource,
     RecordChunk,
-    RecordSource,
+    Source,
     nearest_first,
 )
 from prc_cli.formats.sorting import sorted_by_time
@@ -185,7 +185,7 @@ class GridRules:
 
 
 def resolve_rules(
-    source: RecordSource,
+    source: Source,
     config: InputConfig,
     *,
     geometry: bool = True,
@@ -283,7 +283,7 @@ def _said(
         yield Assumption("input.return", "no effect", why)
 
 
-def is_timed_cloud(source: RecordSource, config: InputConfig) -> bool:
+def is_timed_cloud(source: Source, config: InputConfig) -> bool:
     """Whether an input is points with times, without ranges."""
     has = set(source.dimensions)
     knows = "range" in has or source.facts.rule("range") is not None
@@ -310,7 +310,7 @@ def no_ranges_hint(path: str) -> str:
     return f"type: {command}; if you have the path of the scanner: --range trajectory:FILE"
 
 
-def is_order_lost(source: RecordSource, config: InputConfig) -> bool:
+def is_order_lost(source: Source, config: InputConfig) -> bool:
     """Whether an input is registered points without any order of firing."""
     has = set(source.dimensions)
     is_named = config.range == "sensor-xyz" or any(
@@ -319,7 +319,7 @@ def is_order_lost(source: RecordSource, config: InputConfig) -> bool:
     return set(XYZ) <= has and not has & _FIRED and not source.facts.rules and not is_named
 
 
-def trusting(source: RecordSource | None, config: InputConfig) -> InputConfig:
+def trusting(source: Source | None, config: InputConfig) -> InputConfig:
     """Return the configuration that counts violations of the order, unless it is lost."""
     if config.order != "require" or (source is not None and is_order_lost(source, config)):
         return config
@@ -327,7 +327,7 @@ def trusting(source: RecordSource | None, config: InputConfig) -> InputConfig:
 
 
 def _auto_rules(
-    source: RecordSource,
+    source: Source,
     config: InputConfig,
     first: Callable[[], Table],
     taken: list[Assumption],
@@ -363,16 +363,14 @@ MEASURED = " measures the rates and prints the command; or "
 """Where a hint names ``prc info``; what follows is the rest of the hint."""
 
 
-def only_times_tell(source: RecordSource) -> bool:
+def only_times_tell(source: Source) -> bool:
     """Tell whether only the times of the records can say where lines and columns are."""
     return "time" in source.dimensions and not {"scan_line", "column", "angle"} & set(
         source.dimensions
     )
 
 
-def _all_missing(
-    source: RecordSource, missing: list[InputError], config: InputConfig
-) -> InputError:
+def _all_missing(source: Source, missing: list[InputError], config: InputConfig) -> InputError:
     """Return one error for everything that is missing, instead of one after the other."""
     has_range = not any(error.problem.startswith(_NO_RANGE) for error in missing)
     if len(missing) == 1 or has_range:
@@ -389,7 +387,7 @@ def _all_missing(
     return _with_draft(source, InputError(source.path, problem, hint))
 
 
-def _with_draft(source: RecordSource, error: InputError) -> InputError:
+def _with_draft(source: Source, error: InputError) -> InputError:
     is_guessed = source.format == "raw binary" and source.dimensions == ("range",)
     if not is_guessed and (
         source.format != "text" or set(source.dimensions) <= set(STANDARD_NAMES)
@@ -400,7 +398,7 @@ def _with_draft(source: RecordSource, error: InputError) -> InputError:
     return InputError(source.path, error.problem, f"{error.hint}; {draft}")
 
 
-def _height_names(source: RecordSource, config: InputConfig, range_: str) -> tuple[str, ...]:
+def _height_names(source: Source, config: InputConfig, range_: str) -> tuple[str, ...]:
     """Return the dimensions that give straight down from heights, if down is not given."""
     has_angles = "angle" in source.dimensions or (
         config.angle_start is not None and config.angle_step is not None
@@ -409,7 +407,7 @@ def _height_names(source: RecordSource, config: InputConfig, range_: str) -> tup
     return (range_.partition(":")[2], "z") if is_there and config.nadir is None else ()
 
 
-def _point_names(source: RecordSource, range_: str) -> tuple[str, ...]:
+def _point_names(source: Source, range_: str) -> tuple[str, ...]:
     """Return the dimensions that test recorded scan angles, if all are there."""
     is_there = range_.startswith("dimension:") and {"angle", *XYZ} <= set(source.dimensions)
     return (range_.partition(":")[2], *XYZ) if is_there else ()
@@ -420,7 +418,7 @@ def _argument(rule: str) -> str | None:
 
 
 def _implied(
-    source: RecordSource,
+    source: Source,
     key: str,
     name: str,
     *,
@@ -437,15 +435,13 @@ def _implied(
     return (named or of_format) if dimension_first else (of_format or named)
 
 
-def _is_whole_turn(source: RecordSource, first: Callable[[], Table]) -> bool:
+def _is_whole_turn(source: Source, first: Callable[[], Table]) -> bool:
     """Whether lines are whole turns, as the format or the times of the shots say."""
     has_turns = {"time", "angle"} <= set(source.dimensions)
     return source.facts.rule("turn") is not None or (has_turns and turns_round(first()))
 
 
-def _auto_lines(
-    source: RecordSource, config: InputConfig, first: Callable[[], Table]
-) -> tuple[str, str]:
+def _auto_lines(source: Source, config: InputConfig, first: Callable[[], Table]) -> tuple[str, str]:
     if (implied := _implied(source, "lines", "scan_line")) is not None:
         return implied
     m = config.points_per_line
@@ -469,7 +465,7 @@ def _auto_lines(
     raise InputError(source.path, problem, f"give {_either(ways)}")
 
 
-def _auto_columns(source: RecordSource, lines: str, first: Callable[[], Table]) -> tuple[str, str]:
+def _auto_columns(source: Source, lines: str, first: Callable[[], Table]) -> tuple[str, str]:
     if lines == "fixed":
         return "order", "lines are fixed: every shot has its record"
     if (implied := _implied(source, "columns", "column", dimension_first=False)) is not None:
@@ -489,7 +485,7 @@ def _auto_columns(source: RecordSource, lines: str, first: Callable[[], Table]) 
     return "order", f"{why}; if a shot is missing, the rest of its line moves up"
 
 
-def _has_sensor_xyz(source: RecordSource, range_: str, taken: list[Assumption]) -> bool:
+def _has_sensor_xyz(source: Source, range_: str, taken: list[Assumption]) -> bool:
     """Whether coordinates beside ranges are relative to the scanner.
 
     For a profiler, scan angles show it as well.
@@ -507,7 +503,7 @@ def _has_sensor_xyz(source: RecordSource, range_: str, taken: list[Assumption]) 
     return True
 
 
-def _auto_range(source: RecordSource) -> tuple[str, str]:
+def _auto_range(source: Source) -> tuple[str, str]:
     if (implied := _implied(source, "range", "range")) is not None:
         return implied
     ways = ["--range dimension:NAME"]
@@ -537,7 +533,7 @@ def _either(ways: list[str]) -> str:
     return ways[0] if len(ways) == 1 else f"{', '.join(ways[:-1])} or {ways[-1]}"
 
 
-def _check_dimension(key: str, name: str, source: RecordSource) -> None:
+def _check_dimension(key: str, name: str, source: Source) -> None:
     if name in source.dimensions:
         return
     nearest = nearest_first(source.dimensions, name)
@@ -546,7 +542,7 @@ def _check_dimension(key: str, name: str, source: RecordSource) -> None:
 
 
 def _known_points_per_line(
-    source: RecordSource,
+    source: Source,
     config: InputConfig,
     lines: str,
     columns: str,
@@ -582,8 +578,8 @@ _LINE = "line by elevation"
 
 
 def with_elevation(
-    source: RecordSource, config: InputConfig
-) -> tuple[RecordSource, InputConfig, tuple[Assumption, ...]]:
+    source: Source, config: InputConfig
+) -> tuple[Source, InputConfig, tuple[Assumption, ...]]:
     """Add elevations as ``angle`` [rad] and line numbers; return rules and assumptions, too."""
     drop_deg = parse_rate(config.lines)
     if not 0 < abs(drop_deg) < 180:
@@ -662,9 +658,7 @@ MAX_SHOTS = 1 << 22
 """Most shots that are looked at for a sweep."""
 
 
-def with_sweeps(
-    source: RecordSource, config: InputConfig
-) -> tuple[InputConfig, tuple[Assumption, ...]]:
+def with_sweeps(source: Source, config: InputConfig) -> tuple[InputConfig, tuple[Assumption, ...]]:
     """Find lines and columns by time from the directions, if nothing else gives them."""
     is_open = (config.lines, config.columns, config.points_per_line) == ("auto", "auto", None)
     has_directions = config.range.partition(":")[0] in ("trajectory", "origin") and set(XYZ) <= set(
@@ -697,7 +691,7 @@ def with_sweeps(
     return config.model_copy(update=rules), tuple(assumptions)
 
 
-def _rates(source: RecordSource, rule: RangeRule) -> TimedScan | None:
+def _rates(source: Source, rule: RangeRule) -> TimedScan | None:
     times: list[F64] = []
     directions: list[F32] = []
     for shots in shots_in_time(source, rule.names, MAX_SHOTS):

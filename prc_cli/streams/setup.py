@@ -19,7 +19,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.stream import Assumption
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.core.window import Window
-from prc_cli.formats.records import RecordSource
+from prc_cli.formats.records import Source
 from prc_cli.formats.systems import looks_geographic
 from prc_cli.streams.agreement import (
     ANGLES,
@@ -132,7 +132,7 @@ class Estimates:
 
 
 def set_up(
-    source: RecordSource, rules: GridRules, end: WindowEnd | None = None
+    source: Source, rules: GridRules, end: WindowEnd | None = None
 ) -> tuple[dict[int, ScannerSetup], ScannerSetup | None, int | None, tuple[Assumption, ...]]:
     """Return setups of known and of later scanners, the number of lines, and assumptions."""
     m = rules.points_per_line
@@ -286,7 +286,7 @@ def column_rule(rules: GridRules, estimates: Estimates) -> ColumnRule:
 
 
 def _survey(
-    source: RecordSource,
+    source: Source,
     rules: GridRules,
     estimates: dict[int, Estimates],
     end: WindowEnd | None,
@@ -489,7 +489,7 @@ def line_rules(rules: GridRules, points_per_line: int | None, estimates: Estimat
     )
 
 
-def _steps(source: RecordSource, rules: GridRules) -> dict[int, Steps]:
+def _steps(source: Source, rules: GridRules) -> dict[int, Steps]:
     line = rules.line_dimension
     column = rules.column_dimension
     if line is None and column is None:
@@ -633,7 +633,7 @@ def _shot_step(time_s: F64, period_s: float) -> float:
 
 
 def probe(
-    source: RecordSource, rules: GridRules, steps: dict[int, Steps]
+    source: Source, rules: GridRules, steps: dict[int, Steps]
 ) -> tuple[dict[int, Estimates], dict[int, WholeLines]]:
     """Read the first records of every scanner; estimate sweep, column angles and timing."""
     m = rules.points_per_line

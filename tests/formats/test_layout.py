@@ -20,7 +20,7 @@ from prc_cli.formats.guessing import FRAME_FIELDS, frame_fields
 from prc_cli.formats.options import Layout, LayoutField, decode, record_dtype
 from prc_cli.formats.ranges import choose_returns, clean_ranges, continues_run, mark_shots
 from prc_cli.formats.raw_binary.read import RawBinarySource
-from prc_cli.formats.records import RecordSource
+from prc_cli.formats.records import Source
 from prc_cli.formats.text.read import TextSource
 from tests.streams.record_lists import open_records, read
 
@@ -118,7 +118,7 @@ def test_the_example_in_a_sample_layout_makes_a_file_that_the_layout_reads(
     (path,) = tmp_path.iterdir()
     assert f"prc classify {path.name} " in sample or name == "csv_oakland"
     is_text = path.suffix in (".csv", ".txt")
-    source: RecordSource = (
+    source: Source = (
         TextSource(path, sample_layout) if is_text else RawBinarySource(path, sample_layout)
     )
     assert set(source.dimensions) >= {item.name for item in sample_layout.fields}

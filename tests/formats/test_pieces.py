@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prc_cli.formats import open_source as open_records
+from prc_cli.formats import open_source
 from prc_cli.formats.las import laz
-from prc_cli.formats.las.header import find_points_per_line, open_source, read_header
+from prc_cli.formats.las.header import find_points_per_line, open_bytes, read_header
 from prc_cli.formats.las.laz import LazRecords
 from prc_cli.formats.organised import ptx
 from prc_cli.formats.records import Contents, watched_contents
@@ -113,7 +113,7 @@ def test_batches_hold_every_record_once(
 ) -> None:
     monkeypatch.setattr(laz, "_TOGETHER_BYTES", together)
     header = read_header(chunks)
-    with open_source(chunks) as source:
+    with open_bytes(chunks) as source:
         records = LazRecords(source, header)
         assert records.table.first_record.tolist() == [0, 10, 20, 25]
         assert records.table.first_byte[0] == header.data_offset + 8
@@ -134,7 +134,7 @@ def test_batches_hold_every_record_once(
 
 
 def counted(path: Path) -> Contents:
-    source = open_records(path)
+    source = open_source(path)
     contents = Contents()
     assert source is not None
     for _ in watched_contents(source, contents):

@@ -114,7 +114,7 @@ def text_body(
 
 
 class CloudSource(FieldSource):
-    """A cloud as a :class:`prc_cli.formats.records.RecordSource`."""
+    """A cloud as a :class:`prc_cli.formats.records.Source`."""
 
     def __init__(self, head: CloudHead, body: Body, layout: Layout | None = None) -> None:
         names = tuple(head.types)

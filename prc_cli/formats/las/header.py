@@ -288,7 +288,7 @@ class LasHeader:
         n = self.n_unread_bytes // self.record_bytes
         if n < 1 or self.fields().get("waveform_start"):
             return 0
-        with open_source(self.path) as source:
+        with open_bytes(self.path) as source:
             source.seek(self.data_offset + self.n_records * self.record_bytes)
             return n if any(source.read(self.record_bytes)) else 0
 
@@ -316,7 +316,7 @@ class LasHeader:
         return [vlr.data for vlr in vlrs if vlr.data is not None and vlr.has(key)]
 
 
-class Source:
+class InputBytes:
     """An input opened for reading, also by lazrs; its failures become input errors."""
 
     def __init__(self, path: Path, handle: BinaryIO) -> None:
@@ -370,7 +370,7 @@ class Span(NamedTuple):
 
 
 @contextlib.contextmanager
-def open_source(path: Path) -> Iterator[Source]:
+def open_bytes(path: Path) -> Iterator[InputBytes]:
     """Open an input for reading."""
     try:
         handle = path.open("rb")
@@ -378,7 +378,7 @@ def open_source(path: Path) -> Iterator[Source]:
         problem = f"cannot be read ({error.strerror or error})"
         raise InputError(str(path), problem, "check name and permissions") from None
     with handle:
-        yield Source(path, handle)
+        yield InputBytes(path, handle)
 
 
 def damaged(
@@ -405,7 +405,7 @@ def standard_bytes(point_format: int) -> int:
 
 def read_header(path: Path) -> LasHeader:
     """Read and check header, VLRs and extended VLRs; a file without records is accepted."""
-    with open_source(path) as source:
+    with open_bytes(path) as source:
         file_bytes = source.state()[0]
         fields = _read_fields(source, file_bytes)
         point_format = fields.get("point_format") & ~COMPRESSED
@@ -443,7 +443,7 @@ def read_header(path: Path) -> LasHeader:
     )
 
 
-def _read_fields(source: Source, file_bytes: int) -> HeaderFields:
+def _read_fields(source: InputBytes, file_bytes: int) -> HeaderFields:
     """Read the header with its user bytes; compare its sizes with each other and with the file."""
     path = source.path
     where = str(source.path)
@@ -563,7 +563,7 @@ def _check_count(
         raise InputError(str(path), problem, DAMAGED)
 
 
-def _read_vlrs(source: Source, fields: HeaderFields) -> tuple[tuple[Vlr, ...], int]:
+def _read_vlrs(source: InputBytes, fields: HeaderFields) -> tuple[tuple[Vlr, ...], int]:
     start = fields.get("header_size")
     end = fields.get("point_offset")
     count = fields.get("n_vlrs")
@@ -591,7 +591,7 @@ def _read_vlrs(source: Source, fields: HeaderFields) -> tuple[tuple[Vlr, ...], i
     return tuple(vlrs), start + position
 
 
-def _read_evlrs(source: Source, fields: HeaderFields, file_bytes: int) -> tuple[Vlr, ...]:
+def _read_evlrs(source: InputBytes, fields: HeaderFields, file_bytes: int) -> tuple[Vlr, ...]:
     position = fields.get("evlr_start")
     first = fields.get("point_offset")
     count = fields.get("n_evlrs")

@@ -25,13 +25,13 @@ from prc_cli.core.types import I64, U8
 from prc_cli.formats.las.header import (
     DAMAGED,
     LASZIP_KEY,
+    InputBytes,
     LasHeader,
-    Source,
     Span,
     Vlr,
     damaged,
     make_vlr,
-    open_source,
+    open_bytes,
 )
 from prc_cli.formats.writing.disk import WRITE_BYTES
 
@@ -116,7 +116,7 @@ class Target:
 
 @contextlib.contextmanager
 def _coding(
-    stream: Source | Target, refusal: Callable[[BaseException], PrcError]
+    stream: InputBytes | Target, refusal: Callable[[BaseException], PrcError]
 ) -> Iterator[None]:
     """Raise the error of the system that lazrs hides; else an error of ours for one of lazrs."""
     try:
@@ -130,7 +130,7 @@ def _coding(
         raise refusal(error) from error
 
 
-def decoding(source: Source, problem: str) -> contextlib.AbstractContextManager[None]:
+def decoding(source: InputBytes, problem: str) -> contextlib.AbstractContextManager[None]:
     """Turn any exception or panic of the decompressor into :class:`InputError`."""
     return _coding(
         source, lambda error: InputError(str(source.path), f"{problem} ({error})", DAMAGED)
@@ -234,7 +234,7 @@ class ChunkTable:
 class LazRecords:
     """Chunks of a LAZ file."""
 
-    def __init__(self, source: Source, header: LasHeader) -> None:
+    def __init__(self, source: InputBytes, header: LasHeader) -> None:
         self._where = str(header.path)
         self._source = source
         self.header = header
@@ -427,7 +427,7 @@ class LazRecords:
             first = int(bounds[chunk])
             end = max(int(np.searchsorted(bounds, first + n_together, side="right")) - 1, chunk + 1)
             # a second handle: the decoder needs the position of the first one unchanged
-            with open_source(self.header.path) as source:
+            with open_bytes(self.header.path) as source:
                 self._check_layers(source, chunk, end)
             stop = int(bounds[end])
             # decode whole chunks even if longer than a batch: only then is damage noticed
@@ -447,7 +447,7 @@ class LazRecords:
 
     def open(
         self,
-        source: Source,
+        source: InputBytes,
         kind: Any,
         layers: int,
         first: int = 0,
@@ -493,7 +493,7 @@ class LazRecords:
         )
         raise InputError(self._where, problem, DAMAGED)
 
-    def heads(self, source: Source, first: int, end: int) -> Iterator[tuple[int, int]]:
+    def heads(self, source: InputBytes, first: int, end: int) -> Iterator[tuple[int, int]]:
         """Yield the declared number of records and bytes of every chunk of point formats 6-10."""
         layout = chunk_head(self.header.point_format, self.header.n_extra_bytes)
         for begin in self.table.first_byte[first:end].tolist():
@@ -502,7 +502,7 @@ class LazRecords:
             n_records, *layers = layout.unpack(head) if len(head) == layout.size else (0,)
             yield n_records, self.header.record_bytes + layout.size + sum(layers)
 
-    def _check_layers(self, source: Source, first: int, end: int) -> None:
+    def _check_layers(self, source: InputBytes, first: int, end: int) -> None:
         """Compare the sizes declared in chunks of point formats 6-10 with the chunk table."""
         if self.header.point_format < LAYERED_FORMATS:
             return
@@ -526,7 +526,7 @@ class LazRecords:
 
 
 def read_batches(
-    source: Source,
+    source: InputBytes,
     header: LasHeader,
     n_max: int,
     layers: int = lazrs.SELECTIVE_DECOMPRESS_ALL,
@@ -552,7 +552,7 @@ def read_batches(
         yield first, raw
 
 
-def read_records(source: Source, header: LasHeader, n: int) -> Generator[U8]:
+def read_records(source: InputBytes, header: LasHeader, n: int) -> Generator[U8]:
     """Yield raw records, ``n`` at a time, (n, bytes) uint8, decoded ahead in a thread.
 
     Close before the source.
@@ -585,7 +585,7 @@ def recut(parts: Iterable[U8], sizes: Iterable[int]) -> Generator[U8]:
         remainder = joined[size:] if n_records > size else None
 
 
-def tail_bounds(source: Source, header: LasHeader) -> Span:
+def tail_bounds(source: InputBytes, header: LasHeader) -> Span:
     """Return the part behind the points or their chunk table: EVLRs, waveforms, unknown bytes."""
     if not header.compressed:
         return Span(header.data_offset + header.n_records * header.record_bytes, header.file_bytes)

@@ -21,7 +21,7 @@ from prc_cli.formats.las.header import (
     check_decodable,
     find_dropped,
     find_points_per_line,
-    open_source,
+    open_bytes,
     read_header,
     refused_by_laspy,
     text_of,
@@ -41,7 +41,7 @@ CHUNK_BYTES = 64 << 20
 
 
 class LasSource:
-    """A LAS or LAZ file as a :class:`prc_cli.formats.records.RecordSource`.
+    """A LAS or LAZ file as a :class:`prc_cli.formats.records.Source`.
 
     The content decides whether it is compressed, not the suffix. Units: ``x``, ``y``, ``z`` float64
     in the file's coordinate system, ``time`` float64 [s] (gps_time as stored), ``angle`` float64
@@ -64,7 +64,7 @@ class LasSource:
         self._checks_layers = False
         self._n_unread_chunks = 0
         if self.header.compressed:
-            with open_source(path) as source:
+            with open_bytes(path) as source:
                 self._n_unread_chunks = LazRecords(source, self.header).table.n_unread
 
     @property
@@ -215,7 +215,7 @@ class LasSource:
         if self._checks_layers:
             layers = lazrs.SELECTIVE_DECOMPRESS_ALL
             layers_of_several = None
-        with open_source(self._path) as source:
+        with open_bytes(self._path) as source:
             yield from read_batches(
                 source, self.header, self._chunk_records, layers, layers_of_several, reuse=True
             )

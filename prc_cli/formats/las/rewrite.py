@@ -30,12 +30,12 @@ from prc_cli.formats.las.header import (
     STANDARD_HEADER,
     WKT_BIT,
     HeaderFields,
+    InputBytes,
     LasHeader,
-    Source,
     Span,
     Vlr,
     damaged,
-    open_source,
+    open_bytes,
     read_header,
     readable,
     standard_bytes,
@@ -145,7 +145,7 @@ def read_las(path: Path) -> LasHeader:
     """Read header, VLRs and EVLRs of a LAS or LAZ file, and check its chunk table."""
     las = read_header(path)
     if las.compressed:
-        with open_source(path) as source:
+        with open_bytes(path) as source:
             LazRecords(source, las)
     return las
 
@@ -178,7 +178,7 @@ def copy_las(
         dropped_users = (COPC_USER, RECORD_KEY.user_id)
     points = _PointWriter(plan)
 
-    def write_points(source: Source, target: Target, sink: Callable[[], PointSink]) -> None:
+    def write_points(source: InputBytes, target: Target, sink: Callable[[], PointSink]) -> None:
         with contextlib.closing(read_records(source, las, plan.batch)) as batches:
             if masks is None:
                 points.write(sink(), batches)
@@ -302,7 +302,7 @@ class _PointWriter:
             return
         las = read_header(written)
         checksum = 0
-        with open_source(written) as source:
+        with open_bytes(written) as source:
             for records in read_records(source, las, self._plan.batch):
                 checksum = zlib.crc32(np.ascontiguousarray(records).data, checksum)
         if checksum != self._checksum:
@@ -315,14 +315,14 @@ def _write_file(
     plan: Plan,
     vlrs: list[Vlr],
     temporary: Path,
-    write_points: Callable[[Source, Target, Callable[[], PointSink]], None],
+    write_points: Callable[[InputBytes, Target, Callable[[], PointSink]], None],
     points: _PointWriter,
     dropped_users: tuple[str, ...],
 ) -> Tail:
     """Write the file from its header to its last byte, without the EVLRs of some user ids."""
     las = plan.las
     vlrs = [readable(vlr) for vlr in vlrs]
-    with open_source(las.path) as source, temporary.open("w+b") as file:
+    with open_bytes(las.path) as source, temporary.open("w+b") as file:
         target = Target(file)
         fields = _new_fields(plan, vlrs)
         # it only takes its place: counts and offsets are known at the end
@@ -355,7 +355,7 @@ def _write_file(
 
 
 def _copy_bytes(
-    source: Source,
+    source: InputBytes,
     target: Target,
     start: int,
     stop: int,
@@ -491,7 +491,7 @@ class LasRewriter(ScatterWriter):
         self._compress = labels.path.suffix.lower() == LAZ
 
     def _source_state(self) -> tuple[int, int, int, int]:
-        with open_source(self._source_path) as source:
+        with open_bytes(self._source_path) as source:
             return source.state()
 
     def _write(self, record: RunRecord) -> RunRecord:
@@ -508,7 +508,7 @@ class LasRewriter(ScatterWriter):
         plan = self._plan(las)
         # if only classes change, chunks of LAZ may be copied with new classes (else None), and the
         # index of a COPC file stays
-        with open_source(self._source_path) as source:
+        with open_bytes(self._source_path) as source:
             splice = find_chunks(source, las) if plan.only_classes else None
         is_copc = splice is not None and bool(splice.pages)
         vlrs = _planned_vlrs(plan, self._notice, keeps_index=is_copc)
@@ -521,7 +521,7 @@ class LasRewriter(ScatterWriter):
         moved_chunks: dict[int, tuple[int, int]] = {}
 
         def write_points(
-            source: Source, target: Target, open_sink: Callable[[], PointSink]
+            source: InputBytes, target: Target, open_sink: Callable[[], PointSink]
         ) -> None:
             values = self._columns(las.n_records, plan.batch)
             if splice is not None:

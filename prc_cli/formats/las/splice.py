@@ -32,10 +32,10 @@ from prc_cli.core.facts import ClassContexts
 from prc_cli.core.types import U8
 from prc_cli.formats.las.header import (
     DAMAGED,
+    InputBytes,
     LasHeader,
-    Source,
     VlrKey,
-    open_source,
+    open_bytes,
     standard_bytes,
 )
 from prc_cli.formats.las.laz import (
@@ -140,7 +140,7 @@ class Splice:
     """COPC: pages of the hierarchy, the root first."""
 
 
-def find_chunks(source: Source, las: LasHeader) -> Splice | None:
+def find_chunks(source: InputBytes, las: LasHeader) -> Splice | None:
     """Return the chunks of usual LAZ of point formats 6 to 8; None for other files."""
     if not las.compressed or las.point_format not in _POINT_FORMATS or not las.n_records:
         return None
@@ -159,7 +159,7 @@ def find_chunks(source: Source, las: LasHeader) -> Splice | None:
     return Splice(chunks, pages) if pages and _index_fits(source, pages, chunks) else None
 
 
-def _find_pages(source: Source, las: LasHeader) -> tuple[Page, ...]:
+def _find_pages(source: InputBytes, las: LasHeader) -> tuple[Page, ...]:
     """Return all pages of a COPC index; none if one is outside the index, cut, or repeated."""
     info = las.vlr(_COPC_KEY)
     hierarchy = [evlr for evlr in las.evlrs if evlr.has(_HIERARCHY_KEY)]
@@ -197,12 +197,12 @@ def _find_pages(source: Source, las: LasHeader) -> tuple[Page, ...]:
     return tuple(pages)
 
 
-def _entries(source: Source, page: Page) -> Iterator[tuple[int, ...]]:
+def _entries(source: InputBytes, page: Page) -> Iterator[tuple[int, ...]]:
     source.seek(page.position)
     yield from _ENTRY.iter_unpack(source.exact(page.size, "the COPC hierarchy"))
 
 
-def _index_fits(source: Source, pages: Iterable[Page], chunks: LazRecords) -> bool:
+def _index_fits(source: InputBytes, pages: Iterable[Page], chunks: LazRecords) -> bool:
     """Whether the nodes with points are the chunks, each once."""
     places = zip(chunks.table.first_byte.tolist(), chunks.sizes().tolist(), strict=False)
     wanted = sorted((first, length, n) for first, (n, length) in places)
@@ -211,7 +211,7 @@ def _index_fits(source: Source, pages: Iterable[Page], chunks: LazRecords) -> bo
 
 
 def splice_classes(
-    source: Source,
+    source: InputBytes,
     target: Target,
     splice: Splice,
     codes: Iterator[U8],
@@ -282,7 +282,7 @@ def _contexts(chunks: LazRecords, kept: ClassContexts | None) -> Iterator[U8]:
         else lazrs.SELECTIVE_DECOMPRESS_ALL
     )
     # a handle of its own: the decoder needs its position unchanged
-    with open_source(las.path) as source:
+    with open_bytes(las.path) as source:
         for _, records in LazRecords(source, las).batches(n, layers):
             yield contexts_of(records)
 
@@ -308,7 +308,7 @@ def _class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[me
 
 
 def _write_chunk(
-    source: Source,
+    source: InputBytes,
     target: Target,
     chunks: LazRecords,
     chunk: int,
@@ -346,7 +346,7 @@ def move_index(
     place: dict[int, int],
 ) -> None:
     """Write new positions of chunks (``moved``) and pages (``place``) into a COPC index."""
-    with open_source(las.path) as source, written.open("r+b") as handle:
+    with open_bytes(las.path) as source, written.open("r+b") as handle:
         for page in splice.pages:
             entries = []
             for *key, offset, length, count in _entries(source, page):

@@ -10,7 +10,7 @@ from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import open_to_read
 from prc_cli.formats.binary import BinaryBody
 from prc_cli.formats.options import RANGES_ONLY, Layout, record_dtype
-from prc_cli.formats.records import Column, FieldSource, RecordSource
+from prc_cli.formats.records import Column, FieldSource, Source
 
 FORMAT = "raw binary"
 """Reader name, for messages and ``prc info``."""
@@ -22,7 +22,7 @@ def layout_columns(layout: Layout) -> dict[str, Column]:
 
 
 class RawBinarySource(FieldSource):
-    """A raw dump as a :class:`prc_cli.formats.records.RecordSource`."""
+    """A raw dump as a :class:`prc_cli.formats.records.Source`."""
 
     body: BinaryBody
 
@@ -79,7 +79,7 @@ def _count(path: Path, header: int, record_bytes: int) -> int:
     return n_records
 
 
-def open_dump(path: Path, layout: Layout | None) -> RecordSource:
+def open_dump(path: Path, layout: Layout | None) -> Source:
     """Open a dump by its layout, without fields as ranges; or a folder of pulses by its file."""
     if path.name.startswith("pulse-"):
         from prc_cli.formats.echopulse import EchoPulseSource, is_count_file

@@ -16,7 +16,7 @@ from prc_cli.core.process import bounded
 from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.names import usual_names
 from prc_cli.formats.options import Layout, LayoutField, decode
-from prc_cli.formats.records import RecordChunk, RecordSource, nearest_first
+from prc_cli.formats.records import RecordChunk, Source, nearest_first
 from prc_cli.formats.registry import by_suffix
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ AXES = ("x", "y", "z")
 XYZ = "xyz"
 
 
-def open_table(path: Path) -> RecordSource | None:
+def open_table(path: Path) -> Source | None:
     """Open a file of columns; None for files that only have class codes."""
     suffix = suffix_of(path)
     form = by_suffix("scans").get(suffix) or by_suffix("codes").get(suffix)
@@ -256,7 +256,7 @@ def read_batches(path: Path, columns: Sequence[str]) -> Iterator[pa.RecordBatch]
         yield from bounded(path, file.iter_batches(batch_size=CHUNK_RECORDS, columns=list(columns)))
 
 
-def _check_names(source: RecordSource, names: tuple[str, ...]) -> None:
+def _check_names(source: Source, names: tuple[str, ...]) -> None:
     unknown = [name for name in names if name not in source.dimensions]
     if unknown:
         known = ", ".join(nearest_first(source.dimensions, unknown[0])[:40])

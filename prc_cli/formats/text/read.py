@@ -309,7 +309,7 @@ def parse_fast(
 
 
 class TextSource(FieldSource):
-    """A text file as a :class:`prc_cli.formats.records.RecordSource`.
+    """A text file as a :class:`prc_cli.formats.records.Source`.
 
     All values are float64; empty cells and ``nan`` are NaN. Angles are converted from degrees to
     radians, unless the layout or the name of the column (``angle_rad``) gives another unit. A

@@ -13,7 +13,7 @@ from prc_cli.config import LoadedConfig
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64, I64, U8
 from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
-from prc_cli.formats.records import RecordSource
+from prc_cli.formats.records import Source
 from prc_cli.imaging.cloud import (
     Camera,
     DepthBuffer,
@@ -74,7 +74,7 @@ class Cloud:
     source: Path
     loaded: LoadedConfig
     station: int | None
-    records: RecordSource | None
+    records: Source | None
     """Records with the coordinates of the file; None = coordinates of the stream."""
 
     @classmethod

@@ -21,7 +21,7 @@ from prc_cli.core.stream import LabelledBlock, ScanStream
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.core.version import __version__
 from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
-from prc_cli.formats.records import RecordSource
+from prc_cli.formats.records import Source
 from prc_cli.formats.writing.columns import behind
 from prc_cli.imaging.viewer import ClassEntry, Shots, Values, viewer_page
 from prc_cli.jobs.choice import decide
@@ -399,7 +399,7 @@ def _of_files(
 ) -> dict[str, F64]:
     # coordinates and stages in the files, by name, each with the shape of record
     values: dict[str, F64] = {}
-    cloud: RecordSource | None = None
+    cloud: Source | None = None
     labels = None
     if options.trajectory is not None:
         cloud = placed_source(
@@ -421,7 +421,7 @@ def _of_files(
     return values
 
 
-def _look_up(records: RecordSource, names: tuple[str, ...], record: I64) -> dict[str, F64]:
+def _look_up(records: Source, names: tuple[str, ...], record: I64) -> dict[str, F64]:
     # columns of the records of some cells; NaN for cells without a record
     flat = record.ravel()
     order = np.argsort(flat, kind="stable")

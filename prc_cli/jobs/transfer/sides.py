@@ -16,7 +16,7 @@ from prc_cli.formats.labels import open_codes
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.las.vlrs import same_crs
 from prc_cli.formats.options import Layout
-from prc_cli.formats.records import RecordSource, nearest_first
+from prc_cli.formats.records import Source, nearest_first
 from prc_cli.formats.registry import by_suffix, format_of
 from prc_cli.jobs.coordinates import placed_source
 from prc_cli.jobs.transfer.options import TransferOptions
@@ -153,7 +153,7 @@ def _open_labelled(
     points: Path | None,
     layout: Layout | None,
     options: TransferOptions,
-) -> RecordSource:
+) -> Source:
     if suffix_of(labels) in LAS_SUFFIXES:
         return LasSource(labels)
     if points is not None:
@@ -179,7 +179,7 @@ def _open_labelled(
 
 def _keyed_labels(
     labels: Path,
-    origin: RecordSource,
+    origin: Source,
     rule: KeyRule,
     options: TransferOptions,
 ) -> KeyedSource:
@@ -219,7 +219,7 @@ def _refuse_useless(side: KeyedSource, records: Survey, options: TransferOptions
 
 
 def _same(
-    origin: RecordSource,
+    origin: Source,
     target: LasSource,
     options: TransferOptions,
     assumptions: list[Assumption],
@@ -248,7 +248,7 @@ def _rules(options: TransferOptions, same: tuple[str, ...]) -> tuple[KeyRule, Ke
     return record, KeyRule("dimension", name, same) if name else record
 
 
-def _demand_key(source: RecordSource, rule: KeyRule) -> None:
+def _demand_key(source: Source, rule: KeyRule) -> None:
     if rule.kind == "time" and "time" not in source.dimensions:
         shown = ", ".join(source.dimensions[:20]) or "nothing"
         problem = f"no time to match by, found: {shown}"
@@ -258,7 +258,7 @@ def _demand_key(source: RecordSource, rule: KeyRule) -> None:
         _demand_dimensions(source, rule.key_names)
 
 
-def _demand_dimensions(source: RecordSource, names: tuple[str, ...]) -> None:
+def _demand_dimensions(source: Source, names: tuple[str, ...]) -> None:
     for name in names:
         if name not in source.dimensions:
             shown = ", ".join(nearest_first(source.dimensions, name)[:40]) or "nothing"

@@ -17,7 +17,7 @@ from prc_cli.core.files import file_state
 from prc_cli.core.stream import Assumption
 from prc_cli.core.types import I64, Mask
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
+from prc_cli.formats.records import DerivedSource, RecordChunk, Source
 from prc_cli.formats.sorting import sorted_by_time
 from prc_cli.streams.ranges import XYZ, open_ranges
 from prc_cli.streams.registered.drive import PASS, Drive, reconstruct
@@ -43,7 +43,7 @@ MOST_SCANNERS = 8
 
 
 def with_points(
-    source: RecordSource, config: InputConfig
+    source: Source, config: InputConfig
 ) -> tuple[Cloud, InputConfig, tuple[Assumption, ...]]:
     """Return a cloud as a stream, the rules that read it, and the assumptions.
 
@@ -75,19 +75,17 @@ def with_points(
     return _as_stream(source, config, drive, drive.assumptions())
 
 
-def _with_lost(
-    source: RecordSource, cloud: RegisteredSource | SpinningSource, n_usable: int
-) -> Cloud:
+def _with_lost(source: Source, cloud: RegisteredSource | SpinningSource, n_usable: int) -> Cloud:
     lost = lost_records(source, n_usable)
     return _WithLost(cloud, cloud.drive, lost) if len(lost) else cloud
 
 
-def sorts_by_itself(source: RecordSource, config: InputConfig) -> bool:
+def sorts_by_itself(source: Source, config: InputConfig) -> bool:
     """Return whether the stream is sorted by time without an option: points and times make it."""
     return config.range == "points" or is_tile(source, config)
 
 
-def is_tile(source: RecordSource, config: InputConfig) -> bool:
+def is_tile(source: Source, config: InputConfig) -> bool:
     """Return whether a cloud with a given path is sorted in space, and has only times for lines."""
     asks = (config.lines, config.columns, config.points_per_line) == ("auto", "auto", None)
     has_path = config.range.startswith("trajectory:") and set(XYZ) <= set(source.dimensions)
@@ -98,7 +96,7 @@ def is_tile(source: RecordSource, config: InputConfig) -> bool:
 
 
 def with_path(
-    source: RecordSource, config: InputConfig
+    source: Source, config: InputConfig
 ) -> tuple[Cloud, InputConfig, tuple[Assumption, ...]]:
     """Return a cloud whose path is given as a stream; see :func:`with_points`."""
     rule = open_ranges(
@@ -113,7 +111,7 @@ def with_path(
 
 
 def _as_stream(
-    source: RecordSource,
+    source: Source,
     config: InputConfig,
     drive: Drive,
     assumptions: tuple[Assumption, ...],
@@ -138,7 +136,7 @@ _latest: tuple[tuple[object, ...], Drive | SpinningDrive] | None = None
 """Key and drive of the last cloud: a command opens its input several times."""
 
 
-def _drive_of(source: RecordSource, split: str | None) -> Drive | SpinningDrive:
+def _drive_of(source: Source, split: str | None) -> Drive | SpinningDrive:
     global _latest
     file = Path(source.path)
     state = file_state(file) if file.is_file() else None
@@ -150,7 +148,7 @@ def _drive_of(source: RecordSource, split: str | None) -> Drive | SpinningDrive:
     return _latest[1]
 
 
-def _reconstructed(source: RecordSource, split: str | None) -> Drive | SpinningDrive:
+def _reconstructed(source: Source, split: str | None) -> Drive | SpinningDrive:
     # if one scanner does not fit, the dimensions that may number scanners are tried
     if split is not None:
         return _reconstruct(source.path, spool_by_time(source, split), split=split)
@@ -186,7 +184,7 @@ def _reconstruct(path: str, spools: dict[int, Spool], *, split: str = "") -> Dri
         return spinning
 
 
-def _numbers_of_scanners(source: RecordSource) -> Iterator[str]:
+def _numbers_of_scanners(source: Source) -> Iterator[str]:
     # numbers of scanners have few values
     names = tuple(name for name in SCANNER_DIMENSIONS if name in source.dimensions)
     values: dict[str, set[int]] = {name: set() for name in names}
@@ -200,7 +198,7 @@ def _numbers_of_scanners(source: RecordSource) -> Iterator[str]:
     yield from (name for name in names if 1 < len(values[name]) <= MOST_SCANNERS)
 
 
-def spool_by_time(source: RecordSource, split: str | None) -> dict[int, Spool]:
+def spool_by_time(source: Source, split: str | None) -> dict[int, Spool]:
     """Write the points of every scanner into a temporary file, in the order of their times."""
     carried = tuple(name for name in CARRIED if name in source.dimensions)
     names = (*XYZ, "time", *carried)
@@ -214,7 +212,7 @@ def spool_by_time(source: RecordSource, split: str | None) -> dict[int, Spool]:
     return spools
 
 
-def lost_records(source: RecordSource, n_usable: int) -> I64:
+def lost_records(source: Source, n_usable: int) -> I64:
     """Return the numbers of the records that have no time or no coordinates, (n,) int64."""
     if source.n_records == n_usable:
         return np.empty(0, np.int64)
@@ -274,7 +272,7 @@ class _Usable(DerivedSource):
 
 
 def _spooled(
-    source: RecordSource,
+    source: Source,
     names: tuple[str, ...],
     split: str | None,
     *,

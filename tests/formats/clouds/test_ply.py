@@ -13,7 +13,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.formats import binary, open_source
 from prc_cli.formats.clouds.pcd import decode_lzf
 from prc_cli.formats.options import InputConfig, Layout
-from prc_cli.formats.records import RecordSource
+from prc_cli.formats.records import Source
 from prc_cli.streams.open import open_input
 from tests.formats.cloud_files import Array, lzf, pcd, ply
 
@@ -31,13 +31,13 @@ def columns() -> dict[str, Array]:
     }
 
 
-def opened(path: Path, layout: Layout | None = None) -> RecordSource:
+def opened(path: Path, layout: Layout | None = None) -> Source:
     source = open_source(path, layout)
     assert source is not None
     return source
 
 
-def read(source: RecordSource, names: tuple[str, ...]) -> dict[str, Array]:
+def read(source: Source, names: tuple[str, ...]) -> dict[str, Array]:
     chunks = list(source.chunks(names))
     return {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}
 

@@ -16,7 +16,7 @@ from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import InputError, PrcError
 from prc_cli.formats.las import rewrite as las_rewrite
 from prc_cli.formats.las import splice as las_splice
-from prc_cli.formats.las.header import open_source, read_header
+from prc_cli.formats.las.header import open_bytes, read_header
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.las.splice import LazContexts, Splice, contexts_of, find_chunks
 from tests.formats.common import URBAN, random_labels, record_blocks, run_record, write, writer
@@ -79,7 +79,7 @@ def make_laz(
 
 
 def chunks_of(path: Path) -> Splice | None:
-    with open_source(path) as source:
+    with open_bytes(path) as source:
         return find_chunks(source, read_header(source.path))
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from prc_cli.core.errors import InputError
 from prc_cli.formats import open_source
 from prc_cli.formats.options import Layout
-from prc_cli.formats.records import RecordSource
+from prc_cli.formats.records import Source
 from prc_cli.formats.text import lines as text_lines
 from prc_cli.formats.text.dialect import find_format
 from prc_cli.formats.text.read import TextSource
@@ -27,7 +27,7 @@ def write(folder: Path, content: str | bytes, name: str = "drive.csv") -> Path:
     return path
 
 
-def read(source: RecordSource, *names: str) -> dict[str, np.ndarray[Any, Any]]:
+def read(source: Source, *names: str) -> dict[str, np.ndarray[Any, Any]]:
     """All records; a typed parameter, so that mypy holds TextSource to the protocol."""
     chunks = list(source.chunks(names))
     assert [chunk.first_record for chunk in chunks] == list(
