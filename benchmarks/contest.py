@@ -2,7 +2,7 @@
 
     # everything; only what changed is run again
     python -m benchmarks.contest > docs/figures/contest.md
-    python -m benchmarks.contest --quick  # papers and fused on three scans, no filters, no pictures
+    python -m benchmarks.contest --quick  # papers and fused on three scans, no filters
     python -m benchmarks.contest tables peers                 # some of the parts
 
 Reads ../shared/data or $PRC_DATA for the real scans. Filters of registered clouds run if installed
@@ -24,11 +24,10 @@ import numpy as np
 
 from benchmarks import contest_peers as peers
 from benchmarks.contest_chains import CHAINS
-from benchmarks.contest_data import ROOT, Scan
+from benchmarks.contest_data import Scan
 from benchmarks.contest_drives import print_drives
 from benchmarks.contest_judge import CURB, LEAST_SHARE, Verdict, pooled
-from benchmarks.contest_methods import FUSED, PAPERS, TO_THE_TOP, Method, fused, label, label_scan
-from benchmarks.contest_pictures import failures
+from benchmarks.contest_methods import FUSED, PAPERS, TO_THE_TOP, Method, fused, label
 from benchmarks.contest_runs import (
     FOREST,
     FOREST_CYLINDERS,
@@ -52,7 +51,6 @@ from benchmarks.contest_runs import (
 )
 from benchmarks.simulated import commands, printed_at, say
 
-IMAGES = ROOT / "docs" / "images"
 STREETS = "streets"
 GOALS: dict[str, dict[str, float]] = {
     STREETS: {
@@ -77,8 +75,6 @@ MOST_LOST = 0.03
 JUDGED_OF_PEERS = ("ground", "noise")
 SPEED_SHOTS = 8_000_000
 SPEED_RUNS = 3
-PICTURED = (0, 1, 4, 7, 10, "Oakland strip 2", "Oakland strip 3", "KITTI frame", "mixed forest")
-"""Scans to draw: numbers among the streets, or names."""
 
 
 @dataclass(slots=True)
@@ -529,56 +525,6 @@ def quickest(scan: Scan, method: Method) -> tuple[float, float]:
     return min(run.wall_s for run in runs), min(run.cpu_s for run in runs)
 
 
-def pictures(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """Where the best method still fails."""
-    print("## Where it fails\n")
-    say("""Range, reference, prediction, and what is wrong in the colour of the predicted class.
-    Lines downward, shots across, from the right side of the car over what the scanner sees to the
-    left. Poles, cars and the like are not judged.""")
-    drawn: set[Path] = set()
-    for k, item in enumerate(contest.items):
-        if (k not in PICTURED and item.name not in PICTURED) or item.group in (
-            OAKLAND_NOISY,
-            FOREST_CYLINDERS,
-        ):
-            continue
-        method = best(contest, runs, item)
-        scan = contest.store.scan(item)
-        path = IMAGES / f"contest_{len(drawn) + 1:02}.png"
-        failures(scan, label_scan(scan, method).codes, method.name, path)
-        drawn.add(path)
-        verdict = runs[method.name][item.how].verdict
-        print(f"![{item.name}](../images/{path.name})\n")
-        say(
-            f"{item.name}, {method.name}: macro F1 {verdict.macro:.3f}. {worst_confusions(verdict)}"
-        )
-    for path in set(IMAGES.glob("contest_*.png")) - drawn:
-        path.unlink()
-
-
-def best(contest: Contest, runs: dict[str, dict[str, Run]], item: DataSet) -> Method:
-    """Return the fused method for a scan, the best of the others if there is none."""
-    there = [method for method in contest.methods if item.how in runs.get(method.name, {})]
-    fused_names = {method.name for method in fused()}
-    return max(there, key=lambda m: (m.name in fused_names, runs[m.name][item.how].verdict.macro))
-
-
-def worst_confusions(verdict: Verdict) -> str:
-    """Name the three largest wrong cells, in returns."""
-    wrong = [
-        (int(n), row, column)
-        for row, counts in zip(verdict.rows, verdict.counts, strict=True)
-        for column, n in zip(verdict.columns, counts, strict=True)
-        if row != column and n
-    ]
-    total = verdict.counts.sum()
-    sentences = [
-        f"{row} as {column} ({n / total:.1%} of all judged)"
-        for n, row, column in sorted(wrong, reverse=True)[:3]
-    ]
-    return f"Most of what is wrong: {', '.join(sentences)}."
-
-
 def about(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """Data, methods, and dates of the runs."""
     print("## Scans\n")
@@ -651,7 +597,6 @@ PARTS: dict[str, Part] = {
     "confusion": confusion,
     "speed": speed,
     "drives": drives,
-    "pictures": pictures,
     "about": about,
 }
 QUICK_PARTS = ("summary", "goals", "tables", "confusion")

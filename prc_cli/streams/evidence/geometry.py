@@ -63,11 +63,7 @@ FAR_FACTOR = 1.6
 UNEVEN_RAD = math.radians(2.0)
 """Beams that lie farther from a straight line in the column are not even."""
 MOST_OFF = 0.03
-"""Uncertainty of measured angles above which they give a warning.
-
-The error is at most 2.1 times as large, and one of 5 %
-costs fused .02 of the mean F1 of streets, one of 20 % .11, in forests .43 (``python -m
-benchmarks.angles``)."""
+"""Uncertainty of measured angles above which they give a warning."""
 
 USUAL_M = 2.0
 """Scans are scaled to this depth, so that planes are found in any unit.
