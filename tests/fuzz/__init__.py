@@ -1,5 +1,5 @@
 """Hostile input: small files of every format, ways to damage them, and guarded processes that read
 them.
 
-``python -m tests.fuzz.campaign`` tries many damaged files in watched worker processes and looks for
-new ways through the parsers. What it found is kept in ``found`` and ``test_found.py``."""
+``test_hostile.py`` draws damaged files with hypothesis. Files that once showed a fault are kept in
+``found`` and in ``test_found.py``."""

@@ -1,4 +1,4 @@
-"""Reads a complete file with functions of the library, for ``campaign.py``."""
+"""Reads a complete file with functions of the library, in a worker."""
 
 from __future__ import annotations
 

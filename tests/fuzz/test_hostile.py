@@ -1,11 +1,12 @@
 """Damaged files of every format through every command, in a watched worker.
 
-Longer runs: ``tests.fuzz.campaign``.
+More examples: ``HYPOTHESIS_EXAMPLES=600 python -m pytest -m slow tests/fuzz/test_hostile.py``.
 """
 
 from __future__ import annotations
 
 import io
+import os
 import struct
 import zipfile
 from collections.abc import Iterator
@@ -23,15 +24,17 @@ from prc_cli.formats.labels import open_codes
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.registry import by_suffix
 from tests import patience
-from tests.fuzz.campaign import attempt
-from tests.fuzz.corpus import FOUND, Found, all_found
 from tests.fuzz.guard import unprintable
+from tests.fuzz.kept import KeptFile, attempt, kept_files
 from tests.fuzz.mutations import MUTATIONS, mutate
 from tests.fuzz.seeds import RECORDINGS, SEEDS, seed, write_seeds
 from tests.fuzz.targets import TARGETS, lay, sound_of, suffix_of_seed
 from tests.fuzz.watched import LIMIT_S, WatchedWorker
 
 pytestmark = pytest.mark.slow
+
+EXAMPLES = int(os.environ.get("HYPOTHESIS_EXAMPLES", "6"))
+"""Damaged files for each target."""
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +50,7 @@ def worker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[WatchedWo
 
 @pytest.mark.parametrize("name", TARGETS)
 @settings(
-    max_examples=6,
+    max_examples=EXAMPLES,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )
 @given(number=st.integers(0, 2**32))
@@ -77,20 +80,14 @@ def test_the_first_command_takes_the_seed(worker: tuple[WatchedWorker, Path], na
     assert not [answer["faults"] for answer in answers if answer["faults"]]
 
 
-@pytest.mark.parametrize(
-    ("stem", "table"), [pytest.param(*case, id=case[0]) for case in all_found()]
-)
-def test_what_a_campaign_found_is_mended(
-    worker: tuple[WatchedWorker, Path], stem: str, table: dict[str, object]
+@pytest.mark.parametrize("kept", [pytest.param(kept, id=kept.stem) for kept in kept_files()])
+def test_a_file_that_showed_a_fault_is_refused_or_read(
+    worker: tuple[WatchedWorker, Path], kept: KeptFile
 ) -> None:
     watched, folder = worker
-    finding = Found(
-        str(table["target"]), str(table["seed"]), str(table["way"]), tuple(table["words"])
-    )  # type: ignore[arg-type]
-    answer = attempt(watched, folder, finding, (FOUND / f"{stem}.data").read_bytes())
+    answer = attempt(watched, folder, kept)
     assert not answer["faults"]
-    expected: dict[str, int] = table["expected"]  # type: ignore[assignment]
-    assert answer["code"] == expected.get("code", answer["code"])
+    assert kept.code is None or answer["code"] == kept.code
 
 
 ATTACKS = (

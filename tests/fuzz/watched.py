@@ -45,10 +45,7 @@ class WatchedWorker:
         self._process: subprocess.Popen[bytes] | None = None
 
     def read(self, target: str, case: Path) -> dict[str, Any]:
-        """Read a file with functions of the library, traced.
-
-        The answer has ``faults`` and ``fresh``.
-        """
+        """Read a file with functions of the library; the answer has ``faults``."""
         return self._ask({"read": target, "case": str(case)}, ("read", target), case)
 
     def run(self, command: tuple[str, ...], case: Path, sound: str = "") -> dict[str, Any]:

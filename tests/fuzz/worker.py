@@ -29,7 +29,6 @@ from prc_cli.core.files import cache_folder
 from prc_cli.kernels import load_kernels
 from prc_cli.kernels.cache import writable_cache
 from tests.fuzz.guard import Guard, unprintable
-from tests.fuzz.minimise import Tracer
 from tests.fuzz.oracles import BLOCKS, judge_labels, judge_las
 from tests.fuzz.reads import READS, blocks
 from tests.fuzz.targets import LABELLED, STATE, arguments
@@ -75,7 +74,6 @@ class Worker:
         compiled = writable_cache()
         caches = () if compiled is None else (compiled,)
         self._guard = Guard((self._out, self._scratch, folder / STATE, cache_folder(), *caches))
-        self._tracer = Tracer()
         self._printed = (folder / f"printed-{folder_name}").open("w+b")
         for descriptor in (1, 2):
             os.dup2(self._printed.fileno(), descriptor)
@@ -122,21 +120,17 @@ class Worker:
             "seconds": seconds,
             "grown": grown,
             "faults": faults,
-            "fresh": self._tracer.fresh(),
             "panicked": panicked,
             "said": said[-300:],
         }
 
     def _read(self, job: dict[str, Any]) -> int:
-        self._tracer.start()
         try:
             READS.get(job["read"], blocks)(Path(job["case"]))
         except PrcError as error:
             # what a command prints
             str(error)
             return error.exit_code
-        finally:
-            self._tracer.stop()
         return 0
 
     def _command(self, job: dict[str, Any]) -> Any:
