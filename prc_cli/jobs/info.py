@@ -40,7 +40,6 @@ from prc_cli.formats.records import (
 from prc_cli.formats.sorting import sorted_by_time
 from prc_cli.jobs.choice import decide_and_open
 from prc_cli.jobs.path import hold_against
-from prc_cli.streams.angles import shots_in_time
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.evidence.periods import (
     PeriodEstimate,
@@ -54,7 +53,7 @@ from prc_cli.streams.evidence.periods import (
 )
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import GridStream, open_grid
-from prc_cli.streams.lines import first_ranges, scanners_in_turns
+from prc_cli.streams.head import first_ranges, shots_in_time
 from prc_cli.streams.open import drive_of, open_input
 from prc_cli.streams.order import (
     OrderEvidence,
@@ -568,7 +567,7 @@ def _fires_in_turns(stream: ScanStream) -> bool:
     layer: object = stream
     while layer is not None and not isinstance(layer, GridStream):
         layer = getattr(layer, "source", None)
-    return layer is not None and bool(scanners_in_turns(layer.source, layer.rules))
+    return layer is not None and bool(layer.in_turns)
 
 
 def _line_order(stream: ScanStream) -> OrderEvidence | None:

@@ -6,7 +6,6 @@ Gives the columns and their angles.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,8 +14,6 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64, Mask
-from prc_cli.formats.ranges import continues_run, mark_shots
-from prc_cli.formats.records import Source
 from prc_cli.streams.columns import (
     MAX_COLUMN,
     AngleGrid,
@@ -319,48 +316,6 @@ def column_angles(angle: NDArray[Any], column: I64, points_per_line: int) -> F64
 
 def _circular_mean(value: F64) -> float:
     return math.atan2(float(np.sin(value).mean()), float(np.cos(value).mean()))
-
-
-def first_shots(source: Source, scanner: str | None, *beside: str) -> Table:
-    """Return times, angles, line numbers and more of the first shots of the first scanner."""
-    has = source.dimensions
-    keys = tuple(name for name in ("time", "angle", "scan_line") if name in has)
-    several = "number_of_returns" in has
-    returns = tuple(
-        name for name in ("return_number", "number_of_returns") if name in has and several
-    )
-    wanted = tuple(
-        dict.fromkeys((*keys, *beside, *returns, *((scanner,) if scanner is not None else ())))
-    )
-    first = next(iter(source.chunks(wanted)), None)
-    values: Table = {name: np.empty(0) for name in wanted} if first is None else first.values
-    if scanner is not None:
-        values = take(values, values[scanner] == values[scanner][:1])
-    if several:
-        continues = continues_run(tuple(values[key] for key in keys), values["number_of_returns"])
-        values = take(values, mark_shots(continues, values.get("return_number")))
-    return values
-
-
-def shots_in_time(source: Source, names: tuple[str, ...], most: int) -> Iterator[Table]:
-    """Yield times and other dimensions of the first shots, about ``most``.
-
-    Of returns with one time only the first is kept.
-    """
-    returns = ("return_number", "number_of_returns")
-    several = set(returns) <= set(source.dimensions)
-    n = 0
-    for chunk in source.chunks(
-        tuple(dict.fromkeys((*names, "time", *(returns if several else ()))))
-    ):
-        values = chunk.values
-        if several:
-            continues = continues_run((values["time"],), values["number_of_returns"])
-            values = take(values, mark_shots(continues, values["return_number"]))
-        yield values
-        n += len(values["time"])
-        if n >= most:
-            return
 
 
 def has_sweeps(shots: Table, path: str) -> bool:

@@ -7,12 +7,14 @@ unchanged, for the caller to count; :data:`NO_COLUMN` = none.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats.records import RecordChunk
 from prc_cli.streams.steps import ONE, Step
@@ -254,3 +256,29 @@ def begins_line(line: I64) -> Mask:
     begins: Mask = np.ones(len(line), np.bool_)
     begins[1:] = line[1:] != line[:-1]
     return begins
+
+
+MAX_SCANNERS = 256
+"""Most scanners in one input; dimensions of more values are not scanner ids."""
+
+
+def split_scanners(records: Table, scanner: str | None, path: str) -> Iterator[tuple[int, Table]]:
+    """Yield the records of every scanner in a chunk, by id, in their order."""
+    if scanner is None:
+        yield 0, records
+        return
+    ids = records[scanner]
+    if ids.dtype.kind == "f" and not np.all(ids == np.floor(ids)):
+        i = int(np.argmin(ids == np.floor(ids)))
+        problem = f"record {records[RECORD][i]} has {scanner} {ids[i]}, expected a whole number"
+        raise InputError(path, problem, "choose another dimension for --scanner")
+    present = np.unique(ids)
+    for value in present:
+        yield int(value), records if len(present) == 1 else take(records, ids == value)
+
+
+def check_scanners(n_scanners: int, path: str, scanner: str | None) -> None:
+    """Refuse a scanner dimension of too many values."""
+    if n_scanners > MAX_SCANNERS:
+        problem = f"{scanner} has more than {MAX_SCANNERS} values, expected one a scanner"
+        raise InputError(path, problem, "choose another dimension for --scanner, or none")

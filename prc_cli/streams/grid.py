@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -35,7 +36,14 @@ from prc_cli.streams.columns import (
     table_of,
     take,
 )
-from prc_cli.streams.lines import WholeLines, check_partial_line, nothing_placed, whole_lines
+from prc_cli.streams.head import Head, head_of
+from prc_cli.streams.lines import (
+    WholeLines,
+    check_partial_line,
+    nothing_placed,
+    scanners_in_turns,
+    whole_lines,
+)
 from prc_cli.streams.order import (
     OrderWatch,
     WeekSource,
@@ -64,11 +72,13 @@ def open_grid(
 ) -> GridStream:
     """Turn a list of records into the stream; ``assumptions`` are those made before."""
     records = sorted_by_time(source) if config.order == "sort-time" else source
+    head = head_of(records, config, geometry=geometry)
     rules = resolve_rules(
-        records, config, geometry=geometry, only_ranges=only_ranges, with_intensity=with_intensity
+        head, config, geometry=geometry, only_ranges=only_ranges, with_intensity=with_intensity
     )
     if config.order == "trust" and (rules.line_hz is not None or rules.shot_hz is not None):
         records = WeekSource(records)
+        head = Head(records, head.expected)
     n_records = source.n_records
     m = rules.points_per_line
     counts_records = rules.lines == "fixed" and not rules.has_returns and not rules.pads_last_line
@@ -81,7 +91,7 @@ def open_grid(
         if config.window is not None and rules.scanner is None
         else None
     )
-    setups, default, n_lines, setup_assumptions = set_up(records, rules, end)
+    setups, default, n_lines, setup_assumptions = set_up(head, rules, end)
     m = max((setup.points_per_line for setup in setups.values()), default=m or 0)
     if n_lines is None and rules.is_dense and n_records is not None:
         n_lines = -(-n_records // m)
@@ -111,20 +121,32 @@ def open_grid(
     )
     if "intensity" not in (*rules.names, *rules.carried):
         source.facts.skip_intensity()
-    return GridStream(info, records, rules, setups, default)
+    return GridStream(info, head, rules, setups, default)
 
 
-@dataclass(frozen=True, slots=True, repr=False)
+@dataclass(frozen=True, repr=False)
 class GridStream(Brief):
     """Records as a stream of blocks; see :func:`open_grid`."""
 
     info: StreamInfo
-    source: Source
+    head: Head
     rules: GridRules
     setups: dict[int, ScannerSetup]
     """By scanner."""
     default: ScannerSetup | None
     """For scanners not met before; None where all are known."""
+
+    @property
+    def source(self) -> Source:
+        """The records, in the order of the blocks."""
+        return self.head.source
+
+    @cached_property
+    def in_turns(self) -> frozenset[int]:
+        """Scanners whose rings fire in another order than they lie."""
+        in_turns = scanners_in_turns(self.head, self.rules)
+        self.head.forget()
+        return in_turns
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
@@ -132,7 +154,11 @@ class GridStream(Brief):
             yield from self._dense_blocks()
             return
         lines = whole_lines(
-            self.source, self.rules, lambda scanner: self._setup(scanner).lines, self._prepare
+            self.source,
+            self.rules,
+            lambda scanner: self._setup(scanner).lines,
+            self.in_turns,
+            self._prepare,
         )
         for whole in lines:
             yield from self._blocks_of(whole, self._setup(whole.scanner))
@@ -164,6 +190,7 @@ class GridStream(Brief):
 
     def _dense_blocks(self) -> Iterator[ScanBlock]:
         rules = self.rules
+        self.head.forget()
         setup = self._setup(0)
         m = setup.points_per_line
         watch = OrderWatch.of(self.source, rules.config.order) if rules.has("time") else None

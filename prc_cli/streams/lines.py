@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError, OrderError
 from prc_cli.core.stream import ReadTally
-from prc_cli.core.types import F32, F64, I64, Mask
+from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import continues_run, mark_shots
 from prc_cli.formats.records import RecordChunk, Source
@@ -29,14 +29,17 @@ from prc_cli.streams.columns import (
     START,
     StampState,
     Table,
+    check_scanners,
     columns_by_dimension,
     join,
     n_rows,
+    split_scanners,
     spread_stamps,
     table_of,
     take,
 )
-from prc_cli.streams.evidence.periods import MAX_SHOTS, WEAK_PERIOD, estimate_points_per_line
+from prc_cli.streams.evidence.periods import WEAK_PERIOD, estimate_points_per_line
+from prc_cli.streams.head import first_ranges
 from prc_cli.streams.order import OrderWatch, RingOrderWatch, fire_in_turns
 from prc_cli.streams.rules import GridRules
 from prc_cli.streams.steps import ONE, Step
@@ -479,8 +482,6 @@ def _find_lines(
     return records, replace(state, lines=line_state)
 
 
-MAX_SCANNERS = 256
-"""Most scanners in one input; dimensions of more values are not scanner ids."""
 MAX_LATE = 0.01
 """Largest share of shots that come after their line is complete."""
 
@@ -494,13 +495,16 @@ def whole_lines(
     source: Source,
     rules: GridRules,
     line_rules: LineRulesOf,
+    in_turns: frozenset[int],
     prepare: Prepare | None = None,
 ) -> Iterator[WholeLines]:
-    """Read a source from start to end as whole lines, chronological for each scanner."""
+    """Read a source from start to end as whole lines, chronological for each scanner.
+
+    ``in_turns`` are the scanners of :func:`scanners_in_turns`.
+    """
     states: dict[int, ScanState] = {}
     watches: dict[int, OrderWatch | RingOrderWatch] = {}
     waiting = ReadTally()
-    in_turns = scanners_in_turns(source, rules)
     names = rules.names if prepare is None else tuple(dict.fromkeys((*rules.names, *rules.carried)))
     for chunk in source.chunks(names):
         table = table_of(chunk, rules.names)
@@ -550,15 +554,18 @@ def scanners_in_turns(source: Source, rules: GridRules) -> frozenset[int]:
         return frozenset()
     wanted = ("time", rules.column_dimension, rules.scanner)
     names = tuple(dict.fromkeys(name for name in wanted if name is not None))
-    head: Table = {}
+    tables: list[Table] = []
+    n_records = 0
     for chunk in source.chunks(names):
-        head = join([head, table_of(chunk, names)])
-        if n_rows(head) >= TURN_RECORDS:
+        tables.append(table_of(chunk, names))
+        n_records += chunk.n
+        if n_records >= TURN_RECORDS:
             break
-    head = take(head, slice(0, TURN_RECORDS)) if head else head
-    scanners = split_scanners(head, rules.scanner, source.path) if n_rows(head) else ()
+    if not n_records:
+        return frozenset()
+    first = take(join(tables), slice(0, TURN_RECORDS))
     in_turns = []
-    for scanner, records in scanners:
+    for scanner, records in split_scanners(first, rules.scanner, source.path):
         time_s = np.asarray(records["time"], np.float64)
         column = np.asarray(_columns_of(records, rules), np.float64)
         if fire_in_turns(time_s, column):
@@ -618,60 +625,6 @@ def _check_late(path: str, state: ScanState) -> None:
         raise OrderError(path, f"{problem}; expected lines in the order they were scanned", hint)
 
 
-def first_records(
-    source: Source,
-    scanner: str | None,
-    names: tuple[str, ...],
-    limit: int,
-    *,
-    to_end: bool,
-) -> dict[int, Table]:
-    """Return the first ``limit`` records of every scanner; or of the input, unless ``to_end``."""
-    parts: dict[int, Table] = {}
-    n_seen = 0
-    for chunk in source.chunks(names):
-        table = table_of(chunk, names)
-        if not to_end:
-            table = take(table, slice(0, limit - n_seen))
-        n_seen += n_rows(table)
-        for number, records in split_scanners(table, scanner, source.path):
-            have = parts.get(number, {})
-            left = limit - n_rows(have)
-            if left > 0:
-                more = take(records, slice(0, left))
-                parts[number] = (
-                    {name: np.concatenate([have[name], more[name]]) for name in more}
-                    if have
-                    else more
-                )
-        check_scanners(len(parts), source.path, scanner)
-        if not to_end and n_seen >= limit:
-            break
-    return dict(sorted(parts.items()))
-
-
-def split_scanners(records: Table, scanner: str | None, path: str) -> Iterator[tuple[int, Table]]:
-    """Yield the records of every scanner in a chunk, by id, in their order."""
-    if scanner is None:
-        yield 0, records
-        return
-    ids = records[scanner]
-    if ids.dtype.kind == "f" and not np.all(ids == np.floor(ids)):
-        i = int(np.argmin(ids == np.floor(ids)))
-        problem = f"record {records[RECORD][i]} has {scanner} {ids[i]}, expected a whole number"
-        raise InputError(path, problem, "choose another dimension for --scanner")
-    present = np.unique(ids)
-    for value in present:
-        yield int(value), records if len(present) == 1 else take(records, ids == value)
-
-
-def check_scanners(n_scanners: int, path: str, scanner: str | None) -> None:
-    """Refuse a scanner dimension of too many values."""
-    if n_scanners > MAX_SCANNERS:
-        problem = f"{scanner} has more than {MAX_SCANNERS} values, expected one a scanner"
-        raise InputError(path, problem, "choose another dimension for --scanner, or none")
-
-
 def check_partial_line(
     path: str,
     n_shots: int,
@@ -702,19 +655,6 @@ def check_partial_line(
                 f"give -M {period.points_per_line}"
             )
     raise InputError(path, problem, hint)
-
-
-def first_ranges(source: Source) -> F32:
-    """Return the first ranges of a source, (n,) float32 [its unit]; NaN = missing."""
-    parts: list[F32] = []
-    kept = 0
-    for chunk in source.chunks(("range",)):
-        parts.append(np.asarray(chunk.values["range"], np.float32)[: MAX_SHOTS - kept])
-        kept += parts[-1].size
-        if kept >= MAX_SHOTS:
-            break
-    flat = np.concatenate(parts)
-    return np.where(np.isfinite(flat) & (flat > 0), flat, np.float32(np.nan))
 
 
 def nothing_placed(path: str) -> InputError:

@@ -37,15 +37,14 @@ from prc_cli.formats.records import (
 from prc_cli.formats.sorting import sorted_by_time
 from prc_cli.streams.angles import (
     columns_of_angles,
-    first_shots,
     has_sweeps,
     lacks_shots,
-    shots_in_time,
     turns_round,
 )
 from prc_cli.streams.columns import Table
 from prc_cli.streams.directions import angles_in_planes
 from prc_cli.streams.evidence.periods import TimedScan, measure_sweeps
+from prc_cli.streams.head import Head, first_shots, shots_in_time
 from prc_cli.streams.order import judge_first_records
 from prc_cli.streams.ranges import (
     XYZ,
@@ -185,7 +184,7 @@ class GridRules:
 
 
 def resolve_rules(
-    source: Source,
+    head: Head,
     config: InputConfig,
     *,
     geometry: bool = True,
@@ -193,12 +192,12 @@ def resolve_rules(
     with_intensity: bool = False,
 ) -> GridRules:
     """Resolve ``auto`` and check that all named dimensions exist."""
-    if config.order == "require" and is_order_lost(source, config):
-        raise OrderError(source.path, LOST, LOST_HINT)
-    if is_timed_cloud(source, config):
-        raise InputError(source.path, NO_RANGES, no_ranges_hint(source.path))
+    if config.order == "require" and is_order_lost(head, config):
+        raise OrderError(head.path, LOST, LOST_HINT)
+    if is_timed_cloud(head, config):
+        raise InputError(head.path, NO_RANGES, no_ranges_hint(head.path))
     if config.lines == "rings":
-        problem = f"found 'rings', which {source.path} cannot be read by: it is no frame of x, y, z"
+        problem = f"found 'rings', which {head.path} cannot be read by: it is no frame of x, y, z"
         raise ConfigError("input.lines", problem, "find lines in another way: --lines")
     taken: list[Assumption] = []
     scanner = None if config.scanner == "none" else config.scanner
@@ -206,40 +205,40 @@ def resolve_rules(
     @cache
     def first() -> Table:
         named = _argument(config.lines)
-        return first_shots(source, scanner, *((named,) if named in source.dimensions else ()))
+        return first_shots(head, scanner, *((named,) if named in head.dimensions else ()))
 
     try:
-        lines, columns, range_ = _auto_rules(source, config, first, taken)
+        lines, columns, range_ = _auto_rules(head, config, first, taken)
     except InputError:
         # a file without lines is often a tile: then report its order instead
         if config.order == "require":
-            judge_first_records(source)
+            judge_first_records(head)
         raise
     for key, rule in (("lines", lines), ("columns", columns), ("range", range_)):
         kind, _, name = rule.partition(":")
         name = {"angle": "angle", "angle-wrap": "angle", "time": "time"}.get(kind, name)
         if kind in ("dimension", "angle", "angle-wrap", "time"):
-            _check_dimension(f"input.{key}", name, source)
+            _check_dimension(f"input.{key}", name, head)
     if scanner is not None:
-        _check_dimension("input.scanner", scanner, source)
-    taken += _said(config, lines, columns, source.dimensions)
-    has_sensor_xyz = _has_sensor_xyz(source, range_, taken)
+        _check_dimension("input.scanner", scanner, head)
+    taken += _said(config, lines, columns, head.dimensions)
+    has_sensor_xyz = _has_sensor_xyz(head, range_, taken)
     ranges = open_ranges(
         range_,
-        source.dimensions,
-        source.path,
+        head.dimensions,
+        head.path,
         config,
-        crs_wkt=source.facts.crs_wkt,
+        crs_wkt=head.facts.crs_wkt,
         sensor_xyz=has_sensor_xyz,
     )
     line_hz = parse_rate(lines) if lines.startswith("time:") else None
     shot_hz = parse_rate(columns) if columns.startswith("time:") else None
-    m, why = _known_points_per_line(source, config, lines, columns, line_hz, shot_hz)
+    m, why = _known_points_per_line(head, config, lines, columns, line_hz, shot_hz)
     told_m = () if why is None else (Assumption("input.points_per_line", str(m), why),)
     return GridRules(
-        path=source.path,
+        path=head.path,
         config=config,
-        dimensions=source.dimensions,
+        dimensions=head.dimensions,
         lines=lines.partition(":")[0],
         columns=columns.partition(":")[0],
         range=range_,
@@ -249,11 +248,11 @@ def resolve_rules(
         line_hz=line_hz,
         shot_hz=shot_hz,
         scanner=scanner,
-        height_names=_height_names(source, config, range_)
-        if geometry and not source.facts.downs
+        height_names=_height_names(head, config, range_)
+        if geometry and not head.facts.downs
         else (),
-        point_names=_point_names(source, range_) if geometry else (),
-        whole_turn=columns == "angle" and _is_whole_turn(source, first),
+        point_names=_point_names(head, range_) if geometry else (),
+        whole_turn=columns == "angle" and _is_whole_turn(head, first),
         points_per_line=m,
         assumptions=(*taken, *ranges.assumptions, *told_m),
         geometry=geometry,

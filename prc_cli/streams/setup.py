@@ -19,7 +19,6 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.stream import Assumption
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.core.window import Window
-from prc_cli.formats.records import Source
 from prc_cli.formats.systems import looks_geographic
 from prc_cli.streams.agreement import (
     ANGLES,
@@ -47,6 +46,7 @@ from prc_cli.streams.columns import (
     take,
 )
 from prc_cli.streams.down import NoDirectionError, fit_heights, shown_tilt
+from prc_cli.streams.head import HEAD_RECORDS, HEAD_RECORDS_EACH, Head, first_records
 from prc_cli.streams.lines import (
     MAX_CELLS_PER_RECORD,
     MIN_CELLS,
@@ -55,8 +55,8 @@ from prc_cli.streams.lines import (
     ScanState,
     WholeLines,
     advance,
-    first_records,
     nothing_placed,
+    scanners_in_turns,
     whole_lines,
     whole_shots,
 )
@@ -64,10 +64,6 @@ from prc_cli.streams.ranges import clean_measured
 from prc_cli.streams.rules import GridRules
 from prc_cli.streams.steps import ONE, Step, find_step
 
-PROBE_RECORDS = 1 << 18
-"""Number of first records used for estimates."""
-PROBE_RECORDS_EACH = 1 << 16
-"""The same per scanner where several share the input."""
 SLACK = 1
 """Lines by number or time stay open for one more line.
 
@@ -132,16 +128,16 @@ class Estimates:
 
 
 def set_up(
-    source: Source, rules: GridRules, end: WindowEnd | None = None
+    head: Head, rules: GridRules, end: WindowEnd | None = None
 ) -> tuple[dict[int, ScannerSetup], ScannerSetup | None, int | None, tuple[Assumption, ...]]:
     """Return setups of known and of later scanners, the number of lines, and assumptions."""
     m = rules.points_per_line
     if m is not None and rules.config.points_per_line is None:
-        check_found_columns(rules.path, m, source.n_records)
-    steps = _steps(source, rules)
-    estimates, probes = probe(source, rules, steps)
+        check_found_columns(rules.path, m, head.n_records)
+    steps = _steps(head, rules)
+    estimates, probes = probe(head, rules, steps)
     n_lines: int | None = None
-    n_known = source.n_records or 0
+    n_known = head.n_records or 0
     sizes: dict[int, int | None] = dict.fromkeys(estimates, m)
     taken = [*_step_assumptions(rules, steps), *_estimate_assumptions(rules, estimates)]
     if m is None:
@@ -149,7 +145,7 @@ def set_up(
             grid = estimate.angle_grid
             sizes[scanner] = grid.n_columns if grid is not None and grid.whole_turn else None
         if None in sizes.values() or not sizes:
-            extents = _survey(source, rules, estimates, end, Estimates(steps=_usual_step(steps)))
+            extents = _survey(head, rules, estimates, end, Estimates(steps=_usual_step(steps)))
             n_lines = sum(n for n, _, _ in extents.values())
             n_known = max(n_known, sum(n for _, n, _ in extents.values()))
             sizes = {
@@ -173,7 +169,7 @@ def set_up(
         if size is None:
             continue
         if m is None:
-            check_found_columns(rules.path, size, source.n_records)
+            check_found_columns(rules.path, size, head.n_records)
         setup, scanner_assumptions = _set_up_one(
             rules,
             scanner,
@@ -182,8 +178,8 @@ def set_up(
             probes.get(scanner),
             n_known,
         )
-        if scanner in source.facts.downs:
-            down_rad, cos_tilt = source.facts.downs[scanner]
+        if scanner in head.facts.downs:
+            down_rad, cos_tilt = head.facts.downs[scanner]
             setup = replace(setup, down_rad=down_rad, cos_tilt=cos_tilt)
         setups[scanner] = setup
         taken += scanner_assumptions
@@ -192,8 +188,8 @@ def set_up(
             raise nothing_placed(rules.path)
         return setups, None, n_lines, tuple(taken)
     unseen = Estimates(timing=_given_timing(rules), steps=_usual_step(steps))
-    default, _ = _set_up_one(rules, 0, m, unseen, None, source.n_records or 0)
-    for scanner, (down_rad, cos_tilt) in source.facts.downs.items():
+    default, _ = _set_up_one(rules, 0, m, unseen, None, head.n_records or 0)
+    for scanner, (down_rad, cos_tilt) in head.facts.downs.items():
         # scanners that were not among the first records
         setups.setdefault(scanner, replace(default, down_rad=down_rad, cos_tilt=cos_tilt))
     return setups, default, n_lines, tuple(taken)
@@ -286,7 +282,7 @@ def column_rule(rules: GridRules, estimates: Estimates) -> ColumnRule:
 
 
 def _survey(
-    source: Source,
+    head: Head,
     rules: GridRules,
     estimates: dict[int, Estimates],
     end: WindowEnd | None,
@@ -297,9 +293,13 @@ def _survey(
     It stops at the end of a window.
     """
     extents: dict[int, tuple[int, int, int]] = {}
-    for whole in whole_lines(
-        source, rules, lambda scanner: line_rules(rules, None, estimates.get(scanner, unseen))
-    ):
+    lines = whole_lines(
+        head.source,
+        rules,
+        lambda scanner: line_rules(rules, None, estimates.get(scanner, unseen)),
+        scanners_in_turns(head, rules),
+    )
+    for whole in lines:
         if end is not None and extents and end.passed(whole.first_line, whole.records):
             break
         _, n_shots, size = extents.get(whole.scanner, (0, 0, 0))
@@ -489,13 +489,13 @@ def line_rules(rules: GridRules, points_per_line: int | None, estimates: Estimat
     )
 
 
-def _steps(source: Source, rules: GridRules) -> dict[int, Steps]:
+def _steps(head: Head, rules: GridRules) -> dict[int, Steps]:
     line = rules.line_dimension
     column = rules.column_dimension
     if line is None and column is None:
         return {}
     names = tuple(dict.fromkeys(name for name in (line, column, rules.scanner) if name is not None))
-    first = first_records(source, rules.scanner, names, PROBE_RECORDS, to_end=False)
+    first = first_records(head, rules.scanner, names, HEAD_RECORDS, to_end=False)
     return {
         scanner: Steps(
             ONE if line is None else find_step(records[line]),
@@ -633,7 +633,7 @@ def _shot_step(time_s: F64, period_s: float) -> float:
 
 
 def probe(
-    source: Source, rules: GridRules, steps: dict[int, Steps]
+    head: Head, rules: GridRules, steps: dict[int, Steps]
 ) -> tuple[dict[int, Estimates], dict[int, WholeLines]]:
     """Read the first records of every scanner; estimate sweep, column angles and timing."""
     m = rules.points_per_line
@@ -650,18 +650,16 @@ def probe(
         return ({0: alone} if rules.scanner is None else {}), {}
     beside = (*(("angle",) if has_angle else ()), *rules.height_names, *rules.point_names)
     names = tuple(dict.fromkeys((*rules.names, *beside)))
-    limit = PROBE_RECORDS if rules.scanner is None else PROBE_RECORDS_EACH
+    limit = HEAD_RECORDS if rules.scanner is None else HEAD_RECORDS_EACH
     # find every scanner where the rules depend on its angles or timing
     to_end = rules.scanner is not None and (needs_sweep or needs_timing)
-    first = first_records(source, rules.scanner, names, limit, to_end=to_end)
+    first = first_records(head, rules.scanner, names, limit, to_end=to_end)
     if not first:
-        raise nothing_placed(source.path)
+        raise nothing_placed(head.path)
     estimates: dict[int, Estimates] = {}
     probes: dict[int, WholeLines] = {}
     for scanner, records in first.items():
-        where = (
-            source.path if rules.scanner is None else f"{source.path}: {rules.scanner} {scanner}"
-        )
+        where = head.path if rules.scanner is None else f"{head.path}: {rules.scanner} {scanner}"
         sweep = find_sweep(records["angle"], where) if rules.lines == "angle-wrap" else None
         timing = _timing(rules, records) if needs_timing else _given_timing(rules)
         estimate = Estimates(sweep, None, timing, steps.get(scanner) or _usual_step(steps))

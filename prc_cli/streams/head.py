@@ -1,0 +1,191 @@
+"""The first records of a source, decoded once: rules and setups of all scanners follow from them.
+
+A reader of the head stops early. The blocks are read from the source itself, from the start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from itertools import islice
+
+import numpy as np
+
+from prc_cli.core.errors import InputError
+from prc_cli.core.types import F32
+from prc_cli.formats.options import InputConfig
+from prc_cli.formats.ranges import continues_run, mark_shots
+from prc_cli.formats.records import STANDARD_NAMES, DerivedSource, RecordChunk, Source
+from prc_cli.streams.columns import (
+    Table,
+    check_scanners,
+    join,
+    n_rows,
+    split_scanners,
+    table_of,
+    take,
+)
+from prc_cli.streams.evidence.periods import MAX_SHOTS
+
+HEAD_RECORDS = 1 << 18
+"""Number of first records that are kept, and used for estimates."""
+HEAD_RECORDS_EACH = 1 << 16
+"""Number of first records per scanner used for estimates where several share the input."""
+_RETURNS = ("return_number", "number_of_returns")
+
+
+class _Reading:
+    """One pass over some dimensions, whose first chunks are kept."""
+
+    def __init__(self, source: Source, names: tuple[str, ...]) -> None:
+        self.names = names
+        self._source = source
+        self._kept: list[RecordChunk] = []
+        self._n_records = 0
+        self._n_chunks = 0
+        self._rest = source.chunks(names)
+
+    def chunks(self) -> Iterator[RecordChunk]:
+        """Yield the kept chunks, and read on where they end."""
+        yield from self._kept
+        if len(self._kept) < self._n_chunks:
+            # another reader has gone on behind the kept chunks
+            yield from islice(self._source.chunks(self.names), len(self._kept), None)
+            return
+        for chunk in self._rest:
+            self._n_chunks += 1
+            if self._n_records < HEAD_RECORDS:
+                self._kept.append(chunk)
+                self._n_records += chunk.n
+            yield chunk
+
+
+@dataclass(frozen=True)
+class Head(DerivedSource):
+    """A source whose first records are kept, for many readers one after the other."""
+
+    expected: set[str] = field(default_factory=set)
+    """Dimensions that are decoded with the first ones asked for: other readers will need them."""
+    _readings: list[_Reading] = field(default_factory=list, init=False)
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Decode dimensions from the start, or return those that were decoded before."""
+        reading = self._reading_of(names)
+        position = 0
+        try:
+            for chunk in reading.chunks():
+                yield _select(chunk, names)
+                position += 1
+        except InputError:
+            self._readings.remove(reading)
+            if set(names) == set(reading.names):
+                raise
+            # a dimension that nobody has asked for may be damaged
+            self.expected.clear()
+            for chunk in islice(self._reading_of(names).chunks(), position, None):
+                yield _select(chunk, names)
+
+    def _reading_of(self, names: tuple[str, ...]) -> _Reading:
+        for reading in self._readings:
+            if set(names) <= set(reading.names):
+                return reading
+        every = (*names, *(name for name in self.dimensions if name in self.expected))
+        reading = _Reading(self.source, tuple(dict.fromkeys(every)))
+        self._readings.append(reading)
+        return reading
+
+    def forget(self) -> None:
+        """Free the kept records."""
+        self._readings.clear()
+
+
+def _select(chunk: RecordChunk, names: tuple[str, ...]) -> RecordChunk:
+    # a table of its own: readers add columns
+    return replace(chunk, values={name: chunk.values[name] for name in names})
+
+
+def head_of(source: Source, config: InputConfig, *, geometry: bool) -> Head:
+    """Return the head of a source; with scan angles and ``geometry`` all usual dimensions count."""
+    if not geometry or "angle" not in source.dimensions:
+        return Head(source)
+    usual = {*STANDARD_NAMES, config.scanner} - {"intensity"}
+    return Head(source, usual & set(source.dimensions))
+
+
+def first_shots(source: Source, scanner: str | None, *beside: str) -> Table:
+    """Return times, angles, line numbers and more of the first shots of the first scanner."""
+    has = source.dimensions
+    keys = tuple(name for name in ("time", "angle", "scan_line") if name in has)
+    several = "number_of_returns" in has
+    returns = tuple(name for name in _RETURNS if name in has) if several else ()
+    scanners = () if scanner is None else (scanner,)
+    wanted = tuple(dict.fromkeys((*keys, *beside, *returns, *scanners)))
+    first = next(iter(source.chunks(wanted)), None)
+    values: Table = {name: np.empty(0) for name in wanted} if first is None else first.values
+    if scanner is not None:
+        values = take(values, values[scanner] == values[scanner][:1])
+    if several:
+        continues = continues_run(tuple(values[key] for key in keys), values["number_of_returns"])
+        values = take(values, mark_shots(continues, values.get("return_number")))
+    return values
+
+
+def shots_in_time(source: Source, names: tuple[str, ...], most: int) -> Iterator[Table]:
+    """Yield times and other dimensions of the first shots, about ``most``.
+
+    Of returns with one time only the first is kept.
+    """
+    several = set(_RETURNS) <= set(source.dimensions)
+    wanted = dict.fromkeys((*names, "time", *(_RETURNS if several else ())))
+    n = 0
+    for chunk in source.chunks(tuple(wanted)):
+        values = chunk.values
+        if several:
+            continues = continues_run((values["time"],), values["number_of_returns"])
+            values = take(values, mark_shots(continues, values["return_number"]))
+        yield values
+        n += len(values["time"])
+        if n >= most:
+            return
+
+
+def first_records(
+    source: Source,
+    scanner: str | None,
+    names: tuple[str, ...],
+    limit: int,
+    *,
+    to_end: bool,
+) -> dict[int, Table]:
+    """Return the first ``limit`` records of every scanner; or of the input, unless ``to_end``."""
+    parts: dict[int, list[Table]] = {}
+    n_kept: dict[int, int] = {}
+    n_seen = 0
+    for chunk in source.chunks(names):
+        table = table_of(chunk, names)
+        if not to_end:
+            table = take(table, slice(0, limit - n_seen))
+        n_seen += n_rows(table)
+        for number, records in split_scanners(table, scanner, source.path):
+            left = limit - n_kept.setdefault(number, 0)
+            if left > 0:
+                more = take(records, slice(0, left))
+                parts.setdefault(number, []).append(more)
+                n_kept[number] += n_rows(more)
+        check_scanners(len(parts), source.path, scanner)
+        if not to_end and n_seen >= limit:
+            break
+    return {number: join(tables) for number, tables in sorted(parts.items())}
+
+
+def first_ranges(source: Source) -> F32:
+    """Return the first ranges of a source, (n,) float32 [its unit]; NaN = missing."""
+    parts: list[F32] = []
+    n_kept = 0
+    for chunk in source.chunks(("range",)):
+        parts.append(np.asarray(chunk.values["range"], np.float32)[: MAX_SHOTS - n_kept])
+        n_kept += parts[-1].size
+        if n_kept >= MAX_SHOTS:
+            break
+    flat = np.concatenate(parts)
+    return np.where(np.isfinite(flat) & (flat > 0), flat, np.float32(np.nan))
