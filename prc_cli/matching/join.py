@@ -139,8 +139,11 @@ class JoinTally:
         None if there is no such power.
         """
         total = int(self.distances.sum())
-        reached = np.flatnonzero(np.cumsum(self.distances[:-1]) >= share * total)
-        return float(10.0 ** DECADES[reached[0]]) if total and len(reached) else None
+        n_within = np.cumsum(self.distances[:-1])
+        reached = np.flatnonzero(n_within >= share * total)
+        if not total or not len(reached):
+            return None
+        return float(10.0 ** DECADES[reached[0]])
 
     def add_distances(self, distance: F64, paired: Mask) -> None:
         """Count distances (n,) of records to their nearest right one; infinite = there is none."""
@@ -211,73 +214,94 @@ def merge_join(
     *,
     spare: int = 0,
 ) -> Iterator[Joined]:
-    """Match two sorted streams."""
+    """Match two sorted streams.
+
+    Parameters
+    ----------
+    left, right : iterators of columns
+        Sorted by :data:`KEY`.
+    match : Matcher
+    tolerance : float
+        Largest difference of the keys of a pair, in their unit.
+    tally : JoinTally
+        The counts are added to it.
+    names : tuple of str
+        Names of the two streams, for messages.
+    spare : int
+        Right records beyond the tolerance that the matcher sees as well, at both ends.
+
+    Raises
+    ------
+    UnsortedError
+        A stream is not sorted.
+    """
     # a record is decided by candidates within the tolerance, and a candidate by the records within
     # the tolerance of it
     reach = 2.0 * tolerance * (1 + 1e-9)
-    sides = _Window(_in_steps(left, 0), names[0]), _Window(_in_steps(right, 1), names[1])
+    left_window = _Window(_in_steps(left, 0), names[0])
+    right_window = _Window(_in_steps(right, 1), names[1])
     low = -math.inf
     while True:
-        behind = min(
-            (side for side in sides if side.is_open), key=lambda side: side.last, default=None
-        )
-        if behind is not None:
+        open_windows = [side for side in (left_window, right_window) if side.is_open]
+        if open_windows:
+            behind = min(open_windows, key=lambda side: side.last)
             behind.read()
-        limit = min((side.last for side in sides if side.is_open), default=math.inf)
+        open_windows = [side for side in open_windows if side.is_open]
+        limit = min((side.last for side in open_windows), default=math.inf)
+        is_end = math.isinf(limit)
         high = limit
-        if reach and not math.isinf(limit):
+        if reach and not is_end:
             high = float(np.nextafter(limit - reach, -math.inf))
-        if high <= low or not (math.isinf(limit) or _is_worthwhile(sides, low, high)):
+        if high <= low:
             continue
-        window = sides[0].between(low - reach, limit), sides[1].between(low - reach, limit, spare)
-        yield from _decide(*window, low, high, match, tally)
-        if math.isinf(limit):
+        if not is_end:
+            # a window that decides less than half of its records would match most many times
+            n_decided = left_window.count(low, high) + right_window.count(low, high)
+            if 2 * n_decided < left_window.n_held + right_window.n_held:
+                continue
+        left_columns = left_window.between(low - reach, limit)
+        right_columns = right_window.between(low - reach, limit, spare)
+        first, stop = np.searchsorted(left_columns[KEY], (low, high)).tolist()
+        if first < stop:
+            yield _decide(left_columns, right_columns, slice(first, stop), match, tally)
+        if is_end:
             return
-        sides[0].drop(high - reach)
-        sides[1].drop(high - reach, spare)
+        left_window.drop(high - reach)
+        right_window.drop(high - reach, spare)
         low = high
 
 
 def _decide(
     left: Columns,
     right: Columns,
-    low: float,
-    high: float,
+    decided: slice,
     match: Matcher,
     tally: JoinTally,
-) -> Iterator[Joined]:
-    """Match the records of a window; yield the left records with ``low <= key < high``."""
-    first, stop = np.searchsorted(left[KEY], (low, high)).tolist()
-    if first == stop:
-        return
-    matches = match(left, right, slice(first, stop))
-    chosen = (matches.left >= first) & (matches.left < stop)
-    left_index = matches.left[chosen]
-    right_index = matches.right[chosen]
+) -> Joined:
+    """Match the records of a window and count those that are decided."""
+    first = decided.start
+    stop = decided.stop
+    matches = match(left, right, decided)
+    is_decided = (matches.left >= first) & (matches.left < stop)
+    left_index = matches.left[is_decided] - first
+    right_index = matches.right[is_decided]
     for name, indices in matches.counts.items():
-        setattr(
-            tally,
-            name,
-            getattr(tally, name) + int(np.count_nonzero((indices >= first) & (indices < stop))),
-        )
+        n_decided = int(np.count_nonzero((indices >= first) & (indices < stop)))
+        setattr(tally, name, getattr(tally, name) + n_decided)
     if matches.distance is not None:
         paired = np.zeros(stop - first, np.bool_)
-        paired[left_index - first] = True
+        paired[left_index] = True
         tally.add_distances(matches.distance, paired)
     tally.n_left += stop - first
     tally.n_pairs += len(left_index)
+    del left[_USED]
     used = right.pop(_USED)
-    n_before = int(np.count_nonzero(used))
+    n_used_before = int(np.count_nonzero(used))
     # a view of the window's own column: the mark stays for the next windows
     used[right_index if matches.used is None else matches.used] = True
-    tally.n_right += int(np.count_nonzero(used)) - n_before
-    del left[_USED]
-    yield Joined(
-        {name: values[first:stop] for name, values in left.items()},
-        right,
-        left_index - first,
-        right_index,
-    )
+    tally.n_right += int(np.count_nonzero(used)) - n_used_before
+    decided_left = {name: values[decided] for name, values in left.items()}
+    return Joined(decided_left, right, left_index, right_index)
 
 
 def _in_steps(chunks: Iterator[Columns], side: int) -> Iterator[Columns]:
@@ -294,12 +318,6 @@ def _in_steps(chunks: Iterator[Columns], side: int) -> Iterator[Columns]:
             yield {name: values[first : first + STEP_RECORDS] for name, values in chunk.items()}
 
 
-def _is_worthwhile(sides: tuple[_Window, _Window], low: float, high: float) -> bool:
-    """Whether the window decides half of its records: else most would be matched many times."""
-    decided = sum(side.count(low, high) for side in sides)
-    return 2 * decided >= sum(side.n_held for side in sides)
-
-
 class _Window:
     """The part of a sorted stream that is held."""
 
@@ -311,25 +329,23 @@ class _Window:
         self.last = -math.inf
 
     def read(self) -> None:
-
+        """Hold a further chunk, or close the window at the end of the stream."""
         chunk = next(self._chunks, None)
         if chunk is None:
             self.is_open = False
             return
         self.last = float(chunk[KEY][-1])
-        chunk = {**chunk, _USED: np.zeros(len(chunk[KEY]), np.bool_)}
+        columns = {**chunk, _USED: np.zeros(len(chunk[KEY]), np.bool_)}
         if len(self._held[KEY]):
-            chunk = {
-                name: np.concatenate([self._held[name], values]) for name, values in chunk.items()
-            }
-        self._held = chunk
-        if len(chunk[KEY]) > MAX_HELD:
+            for name, values in columns.items():
+                columns[name] = np.concatenate([self._held[name], values])
+        self._held = columns
+        if self.n_held > MAX_HELD:
             problem = (
-                f"more than {MAX_HELD} records within the tolerance of key {chunk[KEY][0]:.9g}"
+                f"more than {MAX_HELD} records within the tolerance of key {columns[KEY][0]:.9g}"
             )
-            raise InputError(
-                self._name, problem, "give a smaller tolerance, or match by something else"
-            )
+            hint = "give a smaller tolerance, or match by something else"
+            raise InputError(self._name, problem, hint)
 
     @property
     def n_held(self) -> int:
@@ -343,10 +359,8 @@ class _Window:
     def between(self, low: float, high: float, spare: int = 0) -> Columns:
         """Return views of the records with ``low <= key < high``, and ``spare`` at both ends."""
         first, stop = np.searchsorted(self._held[KEY], [low, high])
-        return {
-            name: values[max(first - spare, 0) : stop + spare]
-            for name, values in self._held.items()
-        }
+        part = slice(max(first - spare, 0), stop + spare)
+        return {name: values[part] for name, values in self._held.items()}
 
     def drop(self, low: float, spare: int = 0) -> None:
         """Drop the records with ``key < low`` except the last ``spare`` of them."""

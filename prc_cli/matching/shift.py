@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from prc_cli.core.types import F64
+from prc_cli.core.types import F64, Mask
 from prc_cli.matching.keys import AXES
 from prc_cli.matching.nearest import (
     CELL_M,
@@ -23,15 +23,20 @@ LEAST_SHIFT_M = 0.05
 _SURE = 4.0
 """A component of a shift is named from this multiple of its standard error on."""
 _BOXES = 8
+"""Boxes in which points are compared with planes, and points of the left cloud in each."""
 _PAIRS = 2_500
 _GROUPS = 8
+"""Groups of points along the drive: the spread between them gives the standard error."""
 _ROUNDS = 5
 _AROUND = 16
+"""Neighbours that a plane is fitted to."""
 _FLAT = 0.2
+"""Largest rise of the neighbours above their plane, as a share of their second extent (both
+squared)."""
 _REACH_M = 1.0
-"""Neighbours of a plane; the most that they rise above it, as a share of their second extent (both
-squared); how far planes are looked for."""
+"""How far from a point its plane may be."""
 _GATE = 3.0
+"""Pairs farther from the median than this many standard deviations are outliers."""
 
 
 def shift_of(left: Cloud, right: Cloud) -> F64 | None:
@@ -39,70 +44,111 @@ def shift_of(left: Cloud, right: Cloud) -> F64 | None:
     coarse = _coarse_shift(left, right)
     start = np.zeros(3) if coarse is None else coarse
     random = np.random.default_rng(0)
-    parts: list[tuple[F64, Any]] = []
-    for x0, y0, x1, y1 in random.permutation(
-        np.array(tiles_of(left, right)).reshape(-1, 4)
-    ).tolist():
-        left_xyz = xyz_of(sample_of(left.read((x0, y0, x1, y1)), random, _PAIRS))
+    parts: list[_Part] = []
+    boxes = random.permutation(np.array(tiles_of(left, right)).reshape(-1, 4))
+    for x0, y0, x1, y1 in boxes.tolist():
+        left_sample = sample_of(left.read((x0, y0, x1, y1)), random, _PAIRS)
         dx, dy = start[:2].tolist()
-        right_xyz = xyz_of(right.read((x0 + dx, y0 + dy, x1 + dx, y1 + dy), _REACH_M))
-        if len(left_xyz) and len(right_xyz) > _AROUND:
-            parts.append((left_xyz, tree_of(right_xyz)))
+        shifted_box = (x0 + dx, y0 + dy, x1 + dx, y1 + dy)
+        right_xyz = xyz_of(right.read(shifted_box, _REACH_M))
+        if len(left_sample["x"]) and len(right_xyz) > _AROUND:
+            parts.append(_Part(xyz_of(left_sample), tree_of(right_xyz)))
         if len(parts) == _BOXES:
             break
-    fitted = _fitted(parts, start)
-    if fitted is None or np.abs(fitted[0] - start).max() > _REACH_M:
+    fit = _fitted(parts, start)
+    if fit is None or np.abs(fit.shift - start).max() > _REACH_M:
         return coarse
-    shift, error = fitted
-    sure = np.abs(shift) > np.maximum(_SURE * error, LEAST_SHIFT_M)
-    return np.where(sure, shift, 0.0) if sure.any() else coarse
+    is_sure = np.abs(fit.shift) > np.maximum(_SURE * fit.error, LEAST_SHIFT_M)
+    return np.where(is_sure, fit.shift, 0.0) if is_sure.any() else coarse
 
 
-def _fitted(parts: list[tuple[F64, Any]], shift: F64) -> tuple[F64, F64] | None:
-    """Move points until they lie on the planes around them.
+class _Part(NamedTuple):
+    """Points of both clouds in a box."""
 
-    Return the shift (3,) and its standard error (3,).
+    points: F64
+    """(n, 3) of the left cloud [m]."""
+    tree: Any
+    """Of the right cloud."""
+
+
+class _PointsAtPlanes(NamedTuple):
+    """Points of the left cloud near planes of the right one."""
+
+    normal: F64
+    """(n, 3) of the planes."""
+    place: F64
+    """(n, 3) of the points, shifted [m]."""
+    off: F64
+    """(n,) from the point to its plane, along the normal [m]."""
+
+
+class _ShiftFit(NamedTuple):
+    shift: F64
+    """(3,) [m]."""
+    error: F64
+    """(3,) standard error [m]."""
+
+
+def _fitted(parts: list[_Part], shift: F64) -> _ShiftFit | None:
+    """Move points until they lie on the planes around them; None if too few have a plane.
 
     The error comes from groups of points along the drive, each left out once (jackknife): errors of
     a trajectory are alike for seconds.
     """
     for _ in range(_ROUNDS):
-        pairs = [_planes(points + shift, tree) for points, tree in parts]
-        if sum(len(pair[0]) for pair in pairs) < _GROUPS * _AROUND:
+        pairs = [_at_planes(part.points + shift, part.tree) for part in parts]
+        if sum(len(pair.place) for pair in pairs) < _GROUPS * _AROUND:
             return None
-        place, normal, off = (np.concatenate(part) for part in zip(*pairs, strict=True))
-        kept = _within(normal, off)
-        place = place[kept]
+        normal = np.concatenate([pair.normal for pair in pairs])
+        off = np.concatenate([pair.off for pair in pairs])
+        place = np.concatenate([pair.place for pair in pairs])
+        kept = _no_outliers(normal, off)
         normal = normal[kept]
         off = off[kept]
+        place = place[kept]
+        # the groups follow each other along the longer side of the plan
         longer = int(np.argmax(np.ptp(place[:, :2], axis=0)))
-        group = np.argsort(np.argsort(place[:, longer])) * _GROUPS // len(place)
-        left = np.stack([normal[group == k].T @ normal[group == k] for k in range(_GROUPS)])
-        right = np.stack([normal[group == k].T @ off[group == k] for k in range(_GROUPS)])
-        shift = shift + np.linalg.lstsq(left.sum(axis=0), right.sum(axis=0))[0]
-    left = left.sum(axis=0) - left
-    right = right.sum(axis=0) - right
-    without = np.array([np.linalg.lstsq(*sums)[0] for sums in zip(left, right, strict=True)])
-    return shift, np.sqrt(
-        (_GROUPS - 1) / _GROUPS * ((without - without.mean(axis=0)) ** 2).sum(axis=0)
+        rank = np.argsort(np.argsort(place[:, longer]))
+        group = rank * _GROUPS // len(place)
+        # least squares: normal . step = off, summed by group
+        matrices = []
+        vectors = []
+        for k in range(_GROUPS):
+            normal_of_group = normal[group == k]
+            matrices.append(normal_of_group.T @ normal_of_group)
+            vectors.append(normal_of_group.T @ off[group == k])
+        matrix = np.stack(matrices)
+        vector = np.stack(vectors)
+        shift = shift + np.linalg.lstsq(matrix.sum(axis=0), vector.sum(axis=0))[0]
+    matrix_without = matrix.sum(axis=0) - matrix
+    vector_without = vector.sum(axis=0) - vector
+    step_without = np.array(
+        [np.linalg.lstsq(matrix_without[k], vector_without[k])[0] for k in range(_GROUPS)]
     )
+    squares = (step_without - step_without.mean(axis=0)) ** 2
+    error = np.sqrt((_GROUPS - 1) / _GROUPS * squares.sum(axis=0))
+    return _ShiftFit(shift, error)
 
 
-def _planes(points: F64, tree: Any) -> tuple[F64, F64, F64]:
-    """Return points near planes (n, 3), normals (n, 3), distances along them (n,) [m]."""
-    distance, near = tree.query(points, distance_upper_bound=_REACH_M)
-    points = points[np.isfinite(distance)]
-    near = near[np.isfinite(distance)]
-    around = tree.data[tree.query(tree.data[near], k=_AROUND)[1]]
+def _at_planes(points: F64, tree: Any) -> _PointsAtPlanes:
+    """Fit a plane around the point of the tree nearest to each point (n, 3); keep flat ones."""
+    distance, nearest = tree.query(points, distance_upper_bound=_REACH_M)
+    has_near = np.isfinite(distance)
+    points = points[has_near]
+    nearest = nearest[has_near]
+    _, neighbours = tree.query(tree.data[nearest], k=_AROUND)
+    around = tree.data[neighbours]
     middle = around.mean(axis=1)
     offsets = around - middle[:, None]
+    # eigenvalues ascend: the first axis is the normal of the plane
     spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))
-    flat = spread[:, 0] < _FLAT * spread[:, 1]
-    normal = axes[flat, :, 0]
-    return points[flat], normal, ((middle[flat] - points[flat]) * normal).sum(axis=1)
+    is_flat = spread[:, 0] < _FLAT * spread[:, 1]
+    normal = axes[is_flat, :, 0]
+    off = ((middle[is_flat] - points[is_flat]) * normal).sum(axis=1)
+    return _PointsAtPlanes(normal=normal, place=points[is_flat], off=off)
 
 
-def _within(normal: F64, off: F64) -> Any:
+def _no_outliers(normal: F64, off: F64) -> Mask:
     """Return which pairs are no outliers among those whose planes face the same axis.
 
     Ground does not outvote walls.
@@ -113,11 +159,9 @@ def _within(normal: F64, off: F64) -> Any:
         pairs = np.flatnonzero(facing == axis)
         if len(pairs):
             signed = off[pairs] * np.sign(normal[pairs, axis])
-            middle = np.median(signed)
-            kept[pairs] = (
-                np.abs(signed - middle)
-                <= _GATE * 1.4826 * np.median(np.abs(signed - middle)) + 1e-6
-            )
+            from_median = np.abs(signed - np.median(signed))
+            limit = _GATE * 1.4826 * np.median(from_median) + 1e-6
+            kept[pairs] = from_median <= limit
     return kept
 
 
@@ -133,36 +177,41 @@ def _coarse_shift(left: Cloud, right: Cloud) -> F64 | None:
     """Return a shift of voxels (3,) [m], by Fourier transform of the fullest tile."""
     from scipy import fft
 
-    boxes = tiles_of(left, right)
-    cells, n = left.counts()
-    if not boxes or not right.n:
+    cells, n_points = left.counts()
+    if not tiles_of(left, right) or not right.n:
         return None
-    column, row = (place[int(np.argmax(n))] * CELL_M for place in cell_places(cells))
-    middle = np.array([column, row]) + CELL_M / 2
+    columns, rows = cell_places(cells)
+    fullest = int(np.argmax(n_points))
+    middle = np.array([columns[fullest] * CELL_M, rows[fullest] * CELL_M]) + CELL_M / 2
     half = np.array(_SHIFT_VOXELS) * SHIFT_VOXEL_M / 2
     box = (*(middle - half[:2]).tolist(), *(middle + half[:2]).tolist())
-    both = [cloud.read(box) for cloud in (left, right)]
-    if any(len(columns["z"]) < _LEAST_RECORDS for columns in both):
+    left_points = left.read(box)
+    right_points = right.read(box)
+    if min(len(left_points["z"]), len(right_points["z"])) < _LEAST_RECORDS:
         return None
-    corner = np.append(middle, np.median(both[0]["z"])) - half
-    grids = []
-    for columns in both:
-        place = np.floor((xyz_of(columns) - corner) / SHIFT_VOXEL_M).astype(np.int64)
-        place = place[((place >= 0) & (place < _SHIFT_VOXELS)).all(axis=1)]
+
+    # how many occupied voxels fall on each other after every shift
+    corner = np.append(middle, np.median(left_points["z"])) - half
+    transforms = []
+    for points in (left_points, right_points):
+        voxel = np.floor((xyz_of(points) - corner) / SHIFT_VOXEL_M).astype(np.int64)
+        is_inside = ((voxel >= 0) & (voxel < _SHIFT_VOXELS)).all(axis=1)
         grid = np.zeros(_SHIFT_VOXELS, np.float32)
-        grid[tuple(place.T)] = 1.0
-        grids.append(fft.rfftn(grid))
-    score = fft.irfftn(np.conj(grids[0]) * grids[1], _SHIFT_VOXELS)
+        grid[tuple(voxel[is_inside].T)] = 1.0
+        transforms.append(fft.rfftn(grid))
+    score = fft.irfftn(np.conj(transforms[0]) * transforms[1], _SHIFT_VOXELS)
     reach = int(_MOST_SHIFT_M / SHIFT_VOXEL_M)
     for axis, size in enumerate(_SHIFT_VOXELS):
-        index = [slice(None)] * 3
-        index[axis] = slice(reach + 1, size - reach)
-        score[tuple(index)] = 0.0
+        beyond_reach = [slice(None)] * 3
+        beyond_reach[axis] = slice(reach + 1, size - reach)
+        score[tuple(beyond_reach)] = 0.0
+
     peak = np.unravel_index(int(np.argmax(score)), score.shape)
     steps = []
-    for cell, size in zip(peak, _SHIFT_VOXELS, strict=True):
-        steps.append(cell - size if cell > size // 2 else cell)
-    if score[peak] < _CLEARER * score[0, 0, 0] or max(map(abs, steps)) < 2:
+    for place, size in zip(peak, _SHIFT_VOXELS, strict=True):
+        steps.append(place - size if place > size // 2 else place)  # the second half is negative
+    is_unclear = score[peak] < _CLEARER * score[0, 0, 0]
+    if is_unclear or max(map(abs, steps)) < 2:
         return None
     return np.array(steps, np.float64) * SHIFT_VOXEL_M
 

@@ -305,6 +305,17 @@ class SideFile:
         place = self.find(("x",))
         return None if place is None else place[0].facts.crs_wkt
 
+    def check_lengths(self, lengths: Sequence[int]) -> None:
+        """Refuse codes, the first of some streams, that are not as many as the records."""
+        if len(set(lengths)) == 1:
+            return
+        points = self.points.path if self.points is not None else "its own columns"
+        problem = (
+            f"{lengths[0]} class codes, but {points} holds {lengths[-1]} records; "
+            "expected a code for every record"
+        )
+        raise InputError(self.codes.path, problem, "name the input that was classified")
+
 
 @dataclass(slots=True)
 class SideTally:
@@ -318,6 +329,12 @@ class SideTally:
     """Bounds of the key."""
     n_columns: int = 0
     """Up to the last one that has a record, where the key is the cell."""
+
+    def add_keys(self, key: F64) -> None:
+        """Widen the bounds by some keys."""
+        self.low = min(self.low, float(key.min()))
+        self.high = max(self.high, float(key.max()))
+        self.n_columns = max(self.n_columns, int((key % LONGEST_LINE).max()) + 1)
 
     @property
     def n_usable(self) -> int:
@@ -357,72 +374,73 @@ class Side:
     @property
     def dimensions(self) -> tuple[str, ...]:
         """Names that :meth:`chunks` can deliver."""
-        names = [
+        key = [] if self.key is None else [KEY]
+        optional = [
             name
             for name in (SAME, RANGE, LINE, SCANNER, SECONDS, CONFIDENCE)
             if all(self._place(file, name) for file in self.files)
         ]
-        key = [] if self.key is None else [KEY]
-        axes = AXES if all(file.find((axis,)) for file in self.files for axis in AXES) else ()
-        return (*key, CODE, FILE, ROW, *names, *axes)
+        has_place = all(file.find((axis,)) for file in self.files for axis in AXES)
+        axes = AXES if has_place else ()
+        return (*key, CODE, FILE, ROW, *optional, *axes)
 
     def check(self) -> None:
         """Refuse files without the key."""
+        if self.key is None:
+            return
         for file in self.files:
-            for name in () if self.key is None else self.key.key_names:
-                if self._place(file, name) is None:
-                    present = dict.fromkeys(
-                        name for source in file.sources for name in source.dimensions[:30]
-                    )
-                    problem = (
-                        f"no {name!r} to match by in the file, which has: "
-                        f"{', '.join(present) or 'class codes alone'}"
-                    )
-                    hint = "name the points that the labels belong to, or match by something else"
-                    raise ConfigError(file.codes.path, problem, hint)
+            for name in self.key.key_names:
+                if self._place(file, name) is not None:
+                    continue
+                present: dict[str, None] = {}
+                for source in file.sources:
+                    present |= dict.fromkeys(source.dimensions[:30])
+                problem = (
+                    f"no {name!r} to match by in the file, which has: "
+                    f"{', '.join(present) or 'class codes alone'}"
+                )
+                hint = "name the points that the labels belong to, or match by something else"
+                raise ConfigError(file.codes.path, problem, hint)
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Read all files from the first record on."""
         for tally_field in fields(SideTally):
             setattr(self.tally, tally_field.name, tally_field.default)
-        first = 0
+        n_before = 0
         for index, file in enumerate(self.files):
-            n_before = first
+            n_in_file = 0
             for columns, row in self._read(file, names):
                 n = len(row)
                 values = {**columns, ROW: row, FILE: np.full(n, index, np.int64)}
-                self.tally.n_records += n
+                first = n_before + n_in_file
                 record = np.arange(first, first + n)
-                first += n
+                n_in_file += n
+                self.tally.n_records += n
                 finite = self._finite(values, n)
                 if not finite.all():
                     self.tally.n_not_finite += n - int(np.count_nonzero(finite))
                     values = {name: column[finite] for name, column in values.items()}
                     record = record[finite]
                 if KEY in values and len(record):
-                    self.tally.low = min(self.tally.low, float(values[KEY].min()))
-                    self.tally.high = max(self.tally.high, float(values[KEY].max()))
-                    self.tally.n_columns = max(
-                        self.tally.n_columns, int((values[KEY] % LONGEST_LINE).max()) + 1
-                    )
-                yield RecordChunk(
-                    first - n, {name: values[name] for name in names}, len(record), record
-                )
-            if first == n_before:
-                raise InputError(
-                    file.codes.path, "no records, expected class codes", "check the file"
-                )
+                    self.tally.add_keys(values[KEY])
+                read = {name: values[name] for name in names}
+                yield RecordChunk(first, read, len(record), record)
+            if not n_in_file:
+                problem = "no records, expected class codes"
+                raise InputError(file.codes.path, problem, "check the file")
+            n_before += n_in_file
 
     def _finite(self, values: Columns, n: int) -> Mask:
+        """Return which records have a key, and a place if that is the key."""
         finite = np.ones(n, np.bool_)
         if self.key is None:
             return finite
-        is_place = self.key.kind == "place"
-        for name in (KEY, *AXES) if is_place else (KEY,):
-            if name in values:
-                finite &= (
-                    np.abs(values[name]) < FARTHEST_M if is_place else np.isfinite(values[name])
-                )
+        if self.key.kind == "place":
+            for name in (KEY, *AXES):
+                if name in values:
+                    finite &= np.abs(values[name]) < FARTHEST_M
+        elif KEY in values:
+            finite &= np.isfinite(values[KEY])
         return finite
 
     def _place(self, file: SideFile, name: str) -> tuple[Source | None, str] | None:
@@ -440,41 +458,39 @@ class Side:
         """Yield the columns of a file but :data:`FILE` and :data:`ROW`, and record indices."""
         by_cell = KEY in names and self.key is not None and self.key.kind == "cell"
         has_cells = by_cell and file.has_cells
-        wanted = self._wanted(names, has_cells=has_cells)
-        places = {name: self._place(file, source_name) for name, source_name in wanted.items()}
-        asked: dict[int, list[str]] = {}
+        dimensions = self._dimensions_to_read(names, has_cells=has_cells)
+        places = {name: self._place(file, dimension) for name, dimension in dimensions.items()}
+        by_source: dict[int, list[str]] = {}
         for place in places.values():
             if place is not None and place[0] is not None:
-                asked.setdefault(file.sources.index(place[0]), []).append(place[1])
+                by_source.setdefault(file.sources.index(place[0]), []).append(place[1])
         # codes in the same file as other columns are read together with them, once
         codes_in_table = (
-            file.table is not None and 0 in asked and file.codes.name in file.table.dimensions
+            file.table is not None and 0 in by_source and file.codes.name in file.table.dimensions
         )
+        streams: list[Iterator[Columns]] = []
         if codes_in_table:
-            asked[0].append(file.codes.name)
-        streams = [
-            _columns(file.sources[k], tuple(dict.fromkeys(read))) for k, read in asked.items()
-        ]
-        if not codes_in_table:
-            streams.insert(0, ({_CODES: codes} for codes in file.codes.chunks()))
+            by_source[0].append(file.codes.name)
+        else:
+            streams.append({_CODES: codes} for codes in file.codes.chunks())
+        for k, source_names in by_source.items():
+            chunks = file.sources[k].chunks(tuple(dict.fromkeys(source_names)))
+            streams.append(chunk.values for chunk in chunks)
+
         row = 0
-        for parts in in_step(
-            streams, lambda n: _check_lengths(file, n[0], n[-1], equal=len(set(n)) == 1)
-        ):
+        for parts in in_step(streams, file.check_lengths):
             # a name is always read from the first source that has it
             read = {name: column for part in parts for name, column in part.items()}
             n = len(next(iter(read.values())))
             index = np.arange(row, row + n, dtype=np.int64)
-            values: Columns = {
-                CODE: file.codes.to_codes(read[file.codes.name], row)
-                if codes_in_table
-                else read[_CODES]
-            }
+            codes = read[file.codes.name if codes_in_table else _CODES]
+            values: Columns = {CODE: file.codes.to_codes(codes, row) if codes_in_table else codes}
             for name, place in places.items():
-                if place is None or place[0] is None:
-                    stored: NDArray[Any] = self._counted(name, index)
-                else:
+                stored: NDArray[Any] = index
+                if place is not None and place[0] is not None:
                     stored = read[place[1]]
+                elif name == LINE and self.points_per_line:
+                    stored = index // self.points_per_line
                 values[name] = self._typed(file, name, stored, row)
             if has_cells:
                 values[KEY] = _cell_keys(values[_LINE], values[_COLUMN])
@@ -483,21 +499,20 @@ class Side:
             yield values, index
             row += n
 
-    def _wanted(self, names: tuple[str, ...], *, has_cells: bool) -> dict[str, str]:
-        """Return the dimension to read for every column that is not counted."""
-        wanted = {name: name for name in names if name not in (CODE, FILE, ROW)}
+    def _dimensions_to_read(self, names: tuple[str, ...], *, has_cells: bool) -> dict[str, str]:
+        """Return the dimension of every column that is read or counted."""
+        dimensions = {name: name for name in names if name not in (CODE, FILE, ROW)}
         if self.key is None:
-            return wanted
-        if KEY in wanted and self.key.kind != "cell":
-            wanted[KEY] = self.key.dimension
-        elif wanted.pop(KEY, None) and has_cells:
-            wanted |= {_LINE: _LINE, _COLUMN: _COLUMN}
+            return dimensions
+        if KEY in names:
+            dimensions[KEY] = self.key.dimension
+            if self.key.kind == "cell":  # made of line and column
+                del dimensions[KEY]
+            if has_cells:
+                dimensions |= {_LINE: _LINE, _COLUMN: _COLUMN}
         if self.key.kind == "place":
-            wanted |= {axis: axis for axis in AXES}
-        return wanted
-
-    def _counted(self, name: str, index: I64) -> I64:
-        return index // self.points_per_line if name == LINE and self.points_per_line else index
+            dimensions |= {axis: axis for axis in AXES}
+        return dimensions
 
     def _typed(
         self,
@@ -506,30 +521,23 @@ class Side:
         stored: NDArray[Any],
         first: int,
     ) -> NDArray[Any]:
+        """Return a column in the type of its name; ids must be exact in float64."""
         if name == KEY and self.key is not None and self.key.kind == "dimension":
-            return self._ids(file, self.key.dimension, stored, first)
+            ids, exact = exact_keys(stored)
+            wrong = ~(exact | np.isnan(ids))
+            if wrong.any():
+                first_wrong = int(np.argmax(wrong))
+                problem = (
+                    f"record {first + first_wrong}: found dimension:{self.key.dimension} "
+                    f"{stored[first_wrong]}, expected a whole number below 2^53"
+                )
+                raise InputError(file.codes.path, problem, "match by a dimension of whole numbers")
+            return ids
         if name in (KEY, RANGE, SECONDS, *AXES):
             return np.asarray(stored, np.float64)
-        return np.clip(_whole(stored), 0, MAX_RETURN) if name == SAME else _whole(stored)
-
-    def _ids(
-        self,
-        file: SideFile,
-        name: str,
-        stored: NDArray[Any],
-        first: int,
-    ) -> F64:
-        """Return ids as float64, in which they must be exact; NaN = none."""
-        ids, exact = exact_keys(stored)
-        wrong = ~(exact | np.isnan(ids))
-        if wrong.any():
-            first_wrong = int(np.argmax(wrong))
-            problem = (
-                f"record {first + first_wrong}: found dimension:{name} {stored[first_wrong]}, "
-                "expected a whole number below 2^53"
-            )
-            raise InputError(file.codes.path, problem, "match by a dimension of whole numbers")
-        return ids
+        if name == SAME:
+            return np.clip(_whole(stored), 0, MAX_RETURN)
+        return _whole(stored)
 
 
 def _cell_keys(line: NDArray[Any], column: NDArray[Any]) -> F64:
@@ -548,23 +556,3 @@ def _whole(stored: NDArray[Any]) -> I64:
         wide = stored.astype(np.float64)
         known = (wide >= 0) & (wide < _MAX_ID)
     return np.where(known, wide, UNKNOWN).astype(np.int64)
-
-
-def _columns(source: Source, names: tuple[str, ...]) -> Iterator[Columns]:
-    return (chunk.values for chunk in source.chunks(names))
-
-
-def _check_lengths(
-    file: SideFile,
-    n_codes: int,
-    n_records: int,
-    *,
-    equal: bool,
-) -> None:
-    if not equal:
-        points = file.points.path if file.points is not None else "its own columns"
-        problem = (
-            f"{n_codes} class codes, but {points} holds {n_records} records; "
-            "expected a code for every record"
-        )
-        raise InputError(file.codes.path, problem, "name the input that was classified")
