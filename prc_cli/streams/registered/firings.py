@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,36 +76,45 @@ def find_firings(
     known = ring >= 0
     order = np.argsort(ring[known], kind="stable")
     number = ring[known][order]
-    fired = time_s[known][order]
-    step = np.diff(fired)[np.diff(number) == 0]
-    step = step[step > 0]
-    if len(step) < MIN_STEPS:
+    fired_s = time_s[known][order]
+    step_s = np.diff(fired_s)[np.diff(number) == 0]
+    step_s = step_s[step_s > 0]
+    if len(step_s) < MIN_STEPS:
         return None
-    period = _period(step)
-    origin = float(time_s[0])
-    table, block_s = _phases(fired, number, origin, period, len(ahead_rad))
-    drift, ring_phase = _separated(table)
+    n_rings = len(ahead_rad)
+    period_s = _period(step_s)
+    origin_s = float(time_s[0])
+    phases = _phases(fired_s, number, origin_s, period_s, n_rings)
     # an even drift is an error of the period
-    apart = np.diff(block_s)
-    near = apart < 1.5 * BLOCK_S
-    if near.any():
-        turns = np.angle(drift[1:] * np.conj(drift[:-1]))[near] / (2.0 * np.pi)
-        period *= 1.0 - float(np.median(turns / apart[near])) * period
-        table, block_s = _phases(fired, number, origin, period, len(ahead_rad))
-        drift, ring_phase = _separated(table)
-    count = np.bincount(number, minlength=len(ahead_rad))
-    evenness = float(np.abs((table * np.conj(ring_phase)).sum(axis=1)).sum() / count.sum())
+    apart_s = np.diff(phases.block_s)
+    is_next = apart_s < 1.5 * BLOCK_S
+    if is_next.any():
+        steps = phases.of_block[1:] * np.conj(phases.of_block[:-1])
+        cycles = np.angle(steps)[is_next] / (2.0 * np.pi)
+        period_s *= 1.0 - float(np.median(cycles / apart_s[is_next])) * period_s
+        phases = _phases(fired_s, number, origin_s, period_s, n_rings)
+    n_points = np.bincount(number, minlength=n_rings)
+    lengths = np.abs((phases.table * np.conj(phases.of_ring)).sum(axis=1))
+    evenness = float(lengths.sum() / n_points.sum())
     if evenness < MIN_EVENNESS:
         return None
-    place = np.remainder(np.angle(ring_phase) / (2.0 * np.pi), 1.0)
-    first = _first_place(place[count > 0])
+
+    # a firing begins with the ring after the longest pause
+    place = np.remainder(np.angle(phases.of_ring) / (2.0 * np.pi), 1.0)
+    ordered = np.sort(place[n_points > 0])
+    pause = np.diff(ordered, prepend=ordered[-1] - 1.0)
+    first = float(ordered[int(np.argmax(pause))])
     # a ring that fires with the first one fires after it, not a period later
     delay = np.remainder(place - first + SAME, 1.0) - SAME
+    n_ahead = np.rint(ahead_rad / (2.0 * np.pi * turn_hz * period_s)).astype(np.int64)
     firings = Firings(
-        period, origin + first * period, delay * period, np.zeros(len(delay), np.int64), evenness
+        period_s=period_s,
+        origin_s=origin_s + first * period_s,
+        delay_s=delay * period_s,
+        late=n_ahead.max() - n_ahead,
+        evenness=evenness,
     )
-    ahead = np.rint(ahead_rad / (2.0 * np.pi * turn_hz * period)).astype(np.int64)
-    return starting(replace(firings, late=ahead.max() - ahead), origin)
+    return starting(firings, origin_s)
 
 
 def firing_numbers(
@@ -137,28 +146,28 @@ def firing_numbers(
     if not known.any():
         return np.full(len(time_s), -1, np.int64), firings
     fired_s = time_s if shot_s is None else shot_s
-    cycles = (fired_s - firings.origin_s) / firings.period_s - firings.delay_s[
-        ring
-    ] / firings.period_s
+    delay = firings.delay_s[ring] / firings.period_s
+    cycles = (fired_s - firings.origin_s) / firings.period_s - delay
+    # the mean phase of every block, which the shift of the cycles follows
     block = np.floor((time_s[known] - firings.origin_s) / BLOCK_S).astype(np.int64)
     begin = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
-    phase = np.angle(np.add.reduceat(np.exp(2j * np.pi * cycles[known]), begin)) / (2.0 * np.pi)
-    middle = (block[begin] + 0.5) * BLOCK_S + firings.origin_s
+    vectors = np.add.reduceat(np.exp(2j * np.pi * cycles[known]), begin)
+    phase = np.angle(vectors) / (2.0 * np.pi)
+    middle_s = (block[begin] + 0.5) * BLOCK_S + firings.origin_s
     last_s, last_drift = firings.before
     if not math.isfinite(last_s):
         last_drift = 0.0
     drift = np.unwrap(np.concatenate([[last_drift], phase]), period=1.0)[1:]
-    shift = np.interp(time_s, middle, drift)
-    number: I64 = np.where(known, np.rint(cycles - shift).astype(np.int64), -1)
-    return number, replace(firings, before=(float(middle[-1]), float(drift[-1])))
+    whole_cycles = np.rint(cycles - np.interp(time_s, middle_s, drift)).astype(np.int64)
+    number: I64 = np.where(known, whole_cycles, -1)
+    return number, replace(firings, before=(float(middle_s[-1]), float(drift[-1])))
 
 
 def starting(firings: Firings, time_s: float) -> Firings:
     """Return the firings counted from a time: later firings and lines have numbers from 0."""
-    periods = (
-        math.floor((time_s - firings.origin_s) / firings.period_s) - 2 - int(firings.late.max())
-    )
-    return replace(firings, origin_s=firings.origin_s + periods * firings.period_s)
+    n_before = math.floor((time_s - firings.origin_s) / firings.period_s)
+    n_periods = n_before - 2 - int(firings.late.max())
+    return replace(firings, origin_s=firings.origin_s + n_periods * firings.period_s)
 
 
 def line_numbers(number: I64, ring: I64, firings: Firings) -> I64:
@@ -167,53 +176,57 @@ def line_numbers(number: I64, ring: I64, firings: Firings) -> I64:
     return lines
 
 
-def _period(step: F64) -> float:
+def _period(step_s: F64) -> float:
     """Return the longest time of which most steps are multiples."""
-    best = math.nan
+    coarsest_s = math.nan
     for share in (50.0, 20.0, 5.0, 1.0):
-        short = float(np.percentile(step, share))
-        period = float(np.mean(step[(step > 0.7 * short) & (step < 1.4 * short)]))
-        for reach in (3.5, 10.5, 30.5, 100.5):
-            count = np.rint(step / period)
-            use = (count > 0) & (count < reach) & (np.abs(step - count * period) < 0.2 * period)
+        short_s = float(np.percentile(step_s, share))
+        is_short = (step_s > 0.7 * short_s) & (step_s < 1.4 * short_s)
+        period_s = float(np.mean(step_s[is_short]))
+        # longer and longer steps give the period more and more exactly
+        for most_cycles in (3.5, 10.5, 30.5, 100.5):
+            count = np.rint(step_s / period_s)
+            use = (count > 0) & (count < most_cycles)
+            use &= np.abs(step_s - count * period_s) < 0.2 * period_s
             if use.sum() >= MIN_STEPS // 2:
-                period = float((step[use] * count[use]).sum() / (count[use] ** 2).sum())
-        near = step[step < 20.0 * period]
-        if np.abs(np.exp(2j * np.pi * near / period).mean()) > MIN_EVENNESS:
-            return period
-        if math.isnan(best):
-            best = period
-    return best
+                squares = (count[use] ** 2).sum()
+                period_s = float((step_s[use] * count[use]).sum() / squares)
+        cycles = step_s[step_s < 20.0 * period_s]
+        if np.abs(np.exp(2j * np.pi * cycles / period_s).mean()) > MIN_EVENNESS:
+            return period_s
+        if math.isnan(coarsest_s):
+            coarsest_s = period_s
+    return coarsest_s
+
+
+class _Phases(NamedTuple):
+    """Phases of the points as complex numbers."""
+
+    table: NDArray[Any]
+    """(b, k), sums by block of time and ring."""
+    block_s: F64
+    """(b,) float64, middle of every block [s]."""
+    of_block: NDArray[Any]
+    of_ring: NDArray[Any]
+    """(b,) and (k,), unit phases whose products are nearest to the table."""
 
 
 def _phases(
-    fired: F64,
+    fired_s: F64,
     number: I64,
     origin_s: float,
     period_s: float,
     n_rings: int,
-) -> tuple[NDArray[Any], F64]:
-    """Return the summed phase by block and ring, (b, k) complex, and the times of blocks."""
-    block = np.floor((fired - origin_s) / BLOCK_S).astype(np.int64)
+) -> _Phases:
+    block = np.floor((fired_s - origin_s) / BLOCK_S).astype(np.int64)
     blocks, row = np.unique(block, return_inverse=True)
     table = np.zeros((len(blocks), n_rings), np.complex128)
-    np.add.at(table, (row, number), np.exp(2j * np.pi * (fired - origin_s) / period_s))
-    middle = np.asarray((blocks + 0.5) * BLOCK_S + origin_s, np.float64)
-    return table, middle
-
-
-def _separated(table: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return the unit phases of blocks and of rings whose products are a table."""
-    ring = np.ones(table.shape[1], np.complex128)
-    ring *= np.exp(1j * np.angle(table[int(np.argmax(np.abs(table).sum(axis=1)))]))
+    np.add.at(table, (row, number), np.exp(2j * np.pi * (fired_s - origin_s) / period_s))
+    block_s = np.asarray((blocks + 0.5) * BLOCK_S + origin_s, np.float64)
+    fullest = int(np.argmax(np.abs(table).sum(axis=1)))
+    of_ring = np.ones(n_rings, np.complex128)
+    of_ring *= np.exp(1j * np.angle(table[fullest]))
     for _ in range(10):
-        block = np.exp(1j * np.angle((table * np.conj(ring)).sum(axis=1)))
-        ring = np.exp(1j * np.angle((table * np.conj(block)[:, None]).sum(axis=0)))
-    return block, ring
-
-
-def _first_place(place: F64) -> float:
-    """Return the place in a firing after the longest pause."""
-    ordered = np.sort(place)
-    pause = np.diff(ordered, prepend=ordered[-1] - 1.0)
-    return float(ordered[int(np.argmax(pause))])
+        of_block = np.exp(1j * np.angle((table * np.conj(of_ring)).sum(axis=1)))
+        of_ring = np.exp(1j * np.angle((table * np.conj(of_block)[:, None]).sum(axis=0)))
+    return _Phases(table, block_s, of_block, of_ring)

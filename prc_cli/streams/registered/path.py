@@ -121,14 +121,16 @@ def positions_at(knots_s: F64, position_m: F64, time_s: F64) -> F64:
     time_s
         (n,) float64 [s].
     """
-    xyz = np.stack([np.interp(time_s, knots_s, position_m[:, axis]) for axis in range(3)], axis=1)
-    n = len(knots_s)
-    hop = min(max(round(SPEED_S / float(np.median(np.diff(knots_s)))), 1), n - 1)
-    for end, inner in ((0, hop), (n - 1, n - 1 - hop)):
+    columns = [np.interp(time_s, knots_s, position_m[:, axis]) for axis in range(3)]
+    xyz = np.stack(columns, axis=1)
+    last = len(knots_s) - 1
+    step_s = float(np.median(np.diff(knots_s)))
+    n_steps = min(max(round(SPEED_S / step_s), 1), last)
+    for end, inner in ((0, n_steps), (last, last - n_steps)):
         speed = (position_m[end] - position_m[inner]) / (knots_s[end] - knots_s[inner])
-        since = time_s - knots_s[end]
-        beyond = since < 0 if end == 0 else since > 0
-        xyz[beyond] = position_m[end] + since[beyond, None] * speed
+        since_s = time_s - knots_s[end]
+        beyond = since_s < 0 if end == 0 else since_s > 0
+        xyz[beyond] = position_m[end] + since_s[beyond, None] * speed
     return xyz
 
 
@@ -182,22 +184,22 @@ def observe(
         Points between two knots at most.
     """
     border = np.searchsorted(time_s, knots_s)
-    begin = border[:-1]
-    count = np.diff(border)
-    place = np.arange(n_points)[None, :]
-    step = np.maximum(count / n_points, 1.0)[:, None]
-    index = begin[:, None] + ((place + 0.5) * step).astype(np.int64)
+    first = border[:-1, None]
     last = np.maximum(border[1:] - 1, 0)[:, None]
-    weight = (index <= last) & (count > 0)[:, None]
+    count = np.diff(border)[:, None]
+    step = np.maximum(count / n_points, 1.0)
+    place = np.arange(n_points)[None, :]
+    index = first + ((place + 0.5) * step).astype(np.int64)
+    is_point = (index <= last) & (count > 0)
     index = np.clip(index, 0, np.minimum(last, len(time_s) - 1))
     share = (time_s[index] - knots_s[:-1, None]) / np.diff(knots_s)[:, None]
     bearing = bearing_rad[index]
     return Observations(
-        np.clip(share, 0.0, 1.0),
-        xyz_m[index],
-        np.cos(bearing),
-        np.sin(bearing),
-        weight.astype(np.float64),
+        share=np.clip(share, 0.0, 1.0),
+        xyz_m=xyz_m[index],
+        cosine=np.cos(bearing),
+        sine=np.sin(bearing),
+        weight=is_point.astype(np.float64),
     )
 
 
@@ -224,37 +226,43 @@ def smooth(knots: Knots, observed: Observations, slope: float = 0.0) -> Fit:
     observed = replace(observed, xyz_m=observed.xyz_m - centre)
     scale = SCALES_M[0]
     system = _normal_equations(knots, observed, scale, slope)
-    for next_scale in (*SCALES_M[1:], *[0.0] * MOST_FINE_ROUNDS):
+    coarse_scales = SCALES_M[1:]
+    for round_ in range(len(coarse_scales) + MOST_FINE_ROUNDS):
+        is_coarse = round_ < len(coarse_scales)
         step, slope_step = system.solve()
         knots = _stepped(knots, step)
         slope = float(np.clip(slope + slope_step, -STEEPEST, STEEPEST))
-        # after the coarse rounds the scale follows the residuals
-        scale = next_scale or float(np.clip(3.0 * system.spread_m, LEAST_SCALE_M, SCALES_M[-1]))
+        if is_coarse:
+            scale = coarse_scales[round_]
+        else:
+            scale = float(np.clip(3.0 * system.spread_m, LEAST_SCALE_M, SCALES_M[-1]))
         system = _normal_equations(knots, observed, scale, slope)
-        if next_scale == 0.0 and np.abs(step[:, 3:]).max() < STEP_M:
+        if not is_coarse and np.abs(step[:, 3:]).max() < STEP_M:
             break
-    sigma = system.standard_deviations() * max(system.spread_m * 1.4826, 1e-4)
+    spread = max(system.spread_m * 1.4826, 1e-4)
     return Fit(
-        replace(knots, position_m=knots.position_m + centre),
-        system.in_plane_m,
-        system.across_m,
-        system.range_m,
-        scale,
-        sigma,
-        slope,
+        knots=replace(knots, position_m=knots.position_m + centre),
+        in_plane_m=system.in_plane_m,
+        across_m=system.across_m,
+        range_m=system.range_m,
+        scale_m=scale,
+        sigma_m=system.standard_deviations() * spread,
+        slope=slope,
     )
 
 
 def _stepped(knots: Knots, step: F64) -> Knots:
-    # long steps, (k, 6), are cut: they leave the linear range
-    length = np.linalg.norm(step[:, 3:], axis=1)
-    cut = np.minimum(1.0, LONGEST_STEP_M / np.maximum(length, 1e-12))[:, None]
-    turn = np.linalg.norm(step[:, :3], axis=1)
-    slow = np.minimum(1.0, LONGEST_TURN_RAD / np.maximum(turn, 1e-12))[:, None]
+    """Turn and move knots by steps (k, 6); long ones are cut, since they leave the linear range."""
+    turn = step[:, :3]
+    move = step[:, 3:]
+    turn_rad = np.maximum(np.linalg.norm(turn, axis=1), 1e-12)
+    move_m = np.maximum(np.linalg.norm(move, axis=1), 1e-12)
+    turn_share = np.minimum(1.0, LONGEST_TURN_RAD / turn_rad)[:, None]
+    move_share = np.minimum(1.0, LONGEST_STEP_M / move_m)[:, None]
     return replace(
         knots,
-        position_m=knots.position_m + cut * step[:, 3:],
-        frame=knots.frame @ rotation_matrices(slow * step[:, :3]),
+        position_m=knots.position_m + move_share * move,
+        frame=knots.frame @ rotation_matrices(turn_share * turn),
     )
 
 
@@ -279,18 +287,21 @@ class _System:
     def solve(self) -> tuple[F64, float]:
         """Return the steps of the knots (k, 6), and that of the slope of the cone."""
         factor = cholesky_banded(self.banded, lower=True)
-        both = np.stack([self.gradient.ravel(), self.border.ravel()], axis=1)
-        of_gradient, of_border = cho_solve_banded((factor, True), both).T
+        gradient = self.gradient.ravel()
         border = self.border.ravel()
-        schur = self.cone_weight - float(border @ of_border)
-        slope_step = -(self.cone_gradient - float(border @ of_gradient)) / max(schur, 1e-9)
+        right = np.stack([gradient, border], axis=1)
+        of_gradient, of_border = cho_solve_banded((factor, True), right).T
+        # the knots are eliminated: one equation is left for the slope
+        slope_weight = self.cone_weight - float(border @ of_border)
+        slope_gradient = self.cone_gradient - float(border @ of_gradient)
+        slope_step = -slope_gradient / max(slope_weight, 1e-9)
         step: F64 = (-of_gradient - slope_step * of_border).reshape(-1, 6)
         return step, slope_step
 
     def standard_deviations(self) -> F64:
         """Return the square roots of the inverse's diagonal for the stations, (k, 3)."""
-        blocks = inverse_blocks(self.banded)
-        return np.sqrt(np.maximum(np.diagonal(blocks, axis1=1, axis2=2)[:, 3:], 0.0))
+        variances = np.diagonal(inverse_blocks(self.banded), axis1=1, axis2=2)[:, 3:]
+        return np.sqrt(np.maximum(variances, 0.0))
 
 
 def _normal_equations(
@@ -299,71 +310,90 @@ def _normal_equations(
     scale_m: float,
     slope: float,
 ) -> _System:
-    turn = knots.relative_turns()
     share = observed.share
-    # the frame between two knots, by the second order of the small turn
-    offset = observed.xyz_m - (
-        knots.position_m[:-1, None, :] * (1.0 - share)[:, :, None]
-        + knots.position_m[1:, None, :] * share[:, :, None]
+    weight_before = (1.0 - share)[:, :, None]
+    weight_after = share[:, :, None]
+    # points in the frame between two knots, by the second order of the small turn
+    station = (
+        knots.position_m[:-1, None, :] * weight_before
+        + knots.position_m[1:, None, :] * weight_after
     )
-    local = offset @ knots.frame[:-1]
-    part = share[:, :, None] * turn[:, None, :]
-    local = local - np.cross(part, local - 0.5 * np.cross(part, local))
+    in_frame = (observed.xyz_m - station) @ knots.frame[:-1]
+    turn = knots.relative_turns()
+    turn_part = share[:, :, None] * turn[:, None, :]
+    half_turned = in_frame - 0.5 * np.cross(turn_part, in_frame)
+    local = in_frame - np.cross(turn_part, half_turned)
     x = local[:, :, 0]
     y = local[:, :, 1]
     z = local[:, :, 2]
+
+    # distances of the points from their beams
     cosine = observed.cosine
     sine = observed.sine
     range_m = cosine * x + sine * y
     in_plane = cosine * y - sine * x
     across = z - slope * range_m
     usable = observed.weight
-    spread = float(np.median(masked_median(np.hypot(in_plane, across), usable)[usable.any(axis=1)]))
-    zero = np.zeros_like(x)
-    jacobian = np.empty((*x.shape, 2, 6))
-    jacobian[:, :, 0, :3] = np.stack([cosine * z, sine * z, -range_m], axis=2)
-    jacobian[:, :, 1, :3] = np.stack(
-        [-y - slope * sine * z, x + slope * cosine * z, -slope * in_plane], axis=2
-    )
-    directions = np.stack([sine, -cosine, zero, slope * cosine, slope * sine, zero - 1.0], axis=2)
-    directions = directions.reshape(*x.shape, 2, 3)
-    small = part[:, :, None, :]
-    directions = directions + np.cross(small, directions + 0.5 * np.cross(small, directions))
-    jacobian[:, :, :, 3:] = directions @ np.swapaxes(knots.frame[:-1], 1, 2)[:, None]
-    residual = np.stack([in_plane, across], axis=2)
+    distances = masked_median(np.hypot(in_plane, across), usable)
+    spread = float(np.median(distances[usable.any(axis=1)]))
     # both distances of a point share one weight: a wrong point is wrong in both
     weight = usable / (1.0 + (in_plane / scale_m) ** 2 + (across / scale_m) ** 2)
+
+    # how they change with a turn of the frame, a move of the station, and the slope of the cone
+    zero = np.zeros_like(x)
+    jacobian = np.empty((*x.shape, 2, 6))
+    in_plane_by_turn = [cosine * z, sine * z, -range_m]
+    across_by_turn = [-y - slope * sine * z, x + slope * cosine * z, -slope * in_plane]
+    jacobian[:, :, 0, :3] = np.stack(in_plane_by_turn, axis=2)
+    jacobian[:, :, 1, :3] = np.stack(across_by_turn, axis=2)
+    in_plane_by_move = [sine, -cosine, zero]
+    across_by_move = [slope * cosine, slope * sine, zero - 1.0]
+    by_move = np.stack([*in_plane_by_move, *across_by_move], axis=2).reshape(*x.shape, 2, 3)
+    turn_of_both = turn_part[:, :, None, :]
+    half_turned = by_move + 0.5 * np.cross(turn_of_both, by_move)
+    by_move = by_move + np.cross(turn_of_both, half_turned)
+    jacobian[:, :, :, 3:] = by_move @ np.swapaxes(knots.frame[:-1], 1, 2)[:, None]
+
+    # the sums: a point between two knots counts for both, by its share
+    n_pairs = len(x)
+    rows = jacobian.reshape(n_pairs, -1, 6)
+    residual = np.stack([in_plane, across], axis=2).reshape(n_pairs, -1)
+    by_slope = np.stack([zero, -range_m], axis=2).reshape(n_pairs, -1)
+    weight_of_row = np.repeat(weight, 2, axis=1)
+    before = np.repeat(1.0 - share, 2, axis=1)
+    after = np.repeat(share, 2, axis=1)
+    columns = np.swapaxes(rows, 1, 2)
+
+    def weighted_square(weights: F64) -> F64:
+        square: F64 = (columns * weights[:, None, :]) @ rows
+        return square
+
+    def weighted_sum(weights: F64) -> F64:
+        total: F64 = (columns @ weights[:, :, None])[:, :, 0]
+        return total
+
     n = len(knots.time_s)
-    banded_blocks = np.zeros((n, 3, 6, 6))
+    blocks = np.zeros((n, 3, 6, 6))
+    blocks[:-1, 0] += weighted_square(weight_of_row * before * before)
+    blocks[1:, 0] += weighted_square(weight_of_row * after * after)
+    blocks[:-1, 1] += weighted_square(weight_of_row * before * after)
     gradient = np.zeros((n, 6))
+    gradient[:-1] += weighted_sum(weight_of_row * before * residual)
+    gradient[1:] += weighted_sum(weight_of_row * after * residual)
     border = np.zeros((n, 6))
-    flat = jacobian.reshape(len(x), -1, 6)
-    flat_residual = residual.reshape(len(x), -1)
-    flat_cone = np.stack([zero, -range_m], axis=2).reshape(len(x), -1)
-    both = np.repeat(weight, 2, axis=1)
-    near = np.repeat(1.0 - share, 2, axis=1)
-    far = np.repeat(share, 2, axis=1)
-    transposed = np.swapaxes(flat, 1, 2)
-    banded_blocks[:-1, 0] += (transposed * (both * near * near)[:, None, :]) @ flat
-    banded_blocks[1:, 0] += (transposed * (both * far * far)[:, None, :]) @ flat
-    banded_blocks[:-1, 1] += (transposed * (both * near * far)[:, None, :]) @ flat
-    gradient[:-1] += (transposed @ (both * near * flat_residual)[:, :, None])[:, :, 0]
-    gradient[1:] += (transposed @ (both * far * flat_residual)[:, :, None])[:, :, 0]
-    border[:-1] += (transposed @ (both * near * flat_cone)[:, :, None])[:, :, 0]
-    border[1:] += (transposed @ (both * far * flat_cone)[:, :, None])[:, :, 0]
-    _add_smoothness(banded_blocks, gradient, knots, turn, scale_m)
-    cone_weight = float((weight * range_m**2).sum()) + 1.0
-    cone_gradient = -float((weight * across * range_m).sum())
+    border[:-1] += weighted_sum(weight_of_row * before * by_slope)
+    border[1:] += weighted_sum(weight_of_row * after * by_slope)
+    _add_smoothness(blocks, gradient, knots, turn, scale_m)
     return _System(
-        _banded(banded_blocks),
-        gradient,
-        border,
-        cone_weight,
-        cone_gradient,
-        in_plane,
-        across,
-        range_m,
-        spread,
+        banded=_banded(blocks),
+        gradient=gradient,
+        border=border,
+        cone_weight=float((weight * range_m**2).sum()) + 1.0,
+        cone_gradient=-float((weight * across * range_m).sum()),
+        in_plane_m=in_plane,
+        across_m=across,
+        range_m=range_m,
+        spread_m=spread,
     )
 
 
@@ -375,34 +405,31 @@ def _add_smoothness(
     scale_m: float,
 ) -> None:
     """Add the cost of changes of speed and turn, relative to residuals of a point."""
-    step = np.diff(knots.time_s)
-    before = step[:-1]
-    after = step[1:]
-    span = 0.5 * (before + after)
+    step_s = np.diff(knots.time_s)
+    before_s = step_s[:-1]
+    after_s = step_s[1:]
+    span_s = 0.5 * (before_s + after_s)
     # a change of speed over the mean step, as a length; points count per residual scale of a
     # centimetre
-    usual_m = SPEED_CHANGE_M_S2 * span
-    usual_rad = TURN_CHANGE_RAD_S2 * span
-    noise = min(scale_m, 0.02)
-    change = np.concatenate(
-        [
-            turn[1:] / after[:, None] - turn[:-1] / before[:, None],
-            np.diff(np.diff(knots.position_m, axis=0) / step[:, None], axis=0),
-        ],
-        axis=1,
-    )
-    usual = np.concatenate(
-        [np.repeat(usual_rad[:, None], 3, 1), np.repeat(usual_m[:, None], 3, 1)], axis=1
-    )
-    weight = (noise / usual) ** 2
-    factors = (1.0 / before, -1.0 / before - 1.0 / after, 1.0 / after)
+    usual_m = SPEED_CHANGE_M_S2 * span_s
+    usual_rad = TURN_CHANGE_RAD_S2 * span_s
+    noise_m = min(scale_m, 0.02)
+    turn_change = turn[1:] / after_s[:, None] - turn[:-1] / before_s[:, None]
+    speed_m_s = np.diff(knots.position_m, axis=0) / step_s[:, None]
+    change = np.concatenate([turn_change, np.diff(speed_m_s, axis=0)], axis=1)
+    usual = np.empty_like(change)
+    usual[:, :3] = usual_rad[:, None]
+    usual[:, 3:] = usual_m[:, None]
+    weight = (noise_m / usual) ** 2
+    # the change couples three knots: before, at and after it
+    factors = (1.0 / before_s, -1.0 / before_s - 1.0 / after_s, 1.0 / after_s)
     n = len(knots.time_s)
     diagonal = np.arange(6)
     for i, first in enumerate(factors):
         rows = slice(i, n - 2 + i)
         gradient[rows] += weight * change * first[:, None]
         for j, second in enumerate(factors[i:]):
-            blocks[i : n - 2 + i, j, diagonal, diagonal] += weight * (first * second)[:, None]
+            blocks[rows, j, diagonal, diagonal] += weight * (first * second)[:, None]
     # a trace of stiffness, so that no unknown is free
     blocks[:, 0, diagonal, diagonal] += 1e-9
 
@@ -417,8 +444,7 @@ def _banded(blocks: F64) -> F64:
                 diagonal = 6 * j + row - column
                 if diagonal < 0:
                     continue
-                # element (6 (k + j) + row, 6 k + column); blocks hold [k, k + j] = (column of k,
-                # row of k + j)
+                # the element in row 6 (k + j) + row and column 6 k + column of the matrix
                 banded[diagonal, column::6] = blocks[:, j, column, row]
     return banded
 
@@ -432,30 +458,36 @@ def inverse_blocks(banded: F64) -> F64:
         (18, 6 k) float64, lower diagonals of a positive definite matrix whose blocks couple at most
         two knots apart.
     """
+    # two knots together couple only with the next two: blocks of 12 x 12, filled up with ones
     n = banded.shape[1] // 6
     n_pairs = -(-n // 2)
     size = 12 * n_pairs
-    wide = np.zeros((24, size + 24))
-    wide[:18, : 6 * n] = banded
-    wide[0, 6 * n : size] = 1.0
+    padded = np.zeros((24, size + 24))
+    padded[:18, : 6 * n] = banded
+    padded[0, 6 * n : size] = 1.0
     row, column = np.indices((12, 12))
     start = 12 * np.arange(n_pairs)[:, None, None]
-    lower = np.where(row >= column, wide[np.abs(row - column), start + column], 0.0)
-    upper = np.where(row < column, wide[np.abs(row - column), start + row], 0.0)
+    off_diagonal = np.abs(row - column)
+    lower = np.where(row >= column, padded[off_diagonal, start + column], 0.0)
+    upper = np.where(row < column, padded[off_diagonal, start + row], 0.0)
     diagonal = lower + upper
-    distance = 12 + row - column
-    coupling = np.where(distance < 18, wide[np.minimum(distance, 23), start + column], 0.0)
-    pivots = np.empty_like(diagonal)
+    off_next = 12 + row - column
+    coupling = np.where(off_next < 18, padded[np.minimum(off_next, 23), start + column], 0.0)
+
+    # elimination from the first pair to the last, and back
+    inverse_pivots = np.empty_like(diagonal)
     steps = np.empty_like(diagonal)
     pivot = diagonal[0]
     for i in range(n_pairs):
-        pivots[i] = np.linalg.inv(pivot)
+        inverse_pivots[i] = np.linalg.inv(pivot)
         if i + 1 < n_pairs:
-            steps[i] = pivots[i] @ coupling[i].T
+            steps[i] = inverse_pivots[i] @ coupling[i].T
             pivot = diagonal[i + 1] - coupling[i] @ steps[i]
     inverse = np.empty_like(diagonal)
-    inverse[-1] = pivots[-1]
+    inverse[-1] = inverse_pivots[-1]
     for i in range(n_pairs - 2, -1, -1):
-        inverse[i] = pivots[i] + steps[i] @ inverse[i + 1] @ steps[i].T
-    blocks: F64 = np.stack([inverse[:, :6, :6], inverse[:, 6:, 6:]], axis=1).reshape(-1, 6, 6)
+        inverse[i] = inverse_pivots[i] + steps[i] @ inverse[i + 1] @ steps[i].T
+    of_first = inverse[:, :6, :6]
+    of_second = inverse[:, 6:, 6:]
+    blocks: F64 = np.stack([of_first, of_second], axis=1).reshape(-1, 6, 6)
     return blocks[:n]

@@ -85,12 +85,13 @@ def fit_planes(xyz_m: F64, weight: F64) -> Planes:
         total = robust.sum(axis=1)
         centre = np.einsum("wn,wni->wi", robust, xyz_m) / total[:, None]
         offset = xyz_m - centre[:, None, :]
-        scatter = np.einsum("wn,wni,wnj->wij", robust, offset, offset) / total[:, None, None]
-        values, axes = np.linalg.eigh(scatter)
+        scatter = np.einsum("wn,wni,wnj->wij", robust, offset, offset)
+        variances, axes = np.linalg.eigh(scatter / total[:, None, None])
         distance = np.abs(np.einsum("wni,wi->wn", offset, axes[:, :, 0]))
         scale = np.maximum(2.0 * masked_median(distance, weight), LEAST_SCALE_M)
         robust = weight / (1.0 + (distance / scale[:, None]) ** 2)
-    return Planes(centre, axes, np.sqrt(np.maximum(values[:, 1], 0.0)))
+    spread = np.sqrt(np.maximum(variances[:, 1], 0.0))
+    return Planes(centre, axes, spread)
 
 
 def resect(
@@ -124,41 +125,49 @@ def resect(
     Stations
         Turned so that most points lie in front of the beam.
     """
+    # points in their planes
     main = planes.axes[:, :, 2]
     normal = sense * planes.axes[:, :, 0]
     across = np.cross(normal, main)
     offset = xyz_m - planes.centre_m[:, None, :]
-    qx = np.einsum("wni,wi->wn", offset, main)
-    qy = np.einsum("wni,wi->wn", offset, across)
+    x = np.einsum("wni,wi->wn", offset, main)
+    y = np.einsum("wni,wi->wn", offset, across)
+
+    # the unknowns: cosine and sine of the turn, and the station, turned
     cosine = np.cos(bearing_rad)
     sine = np.sin(bearing_rad)
-    design = np.stack([qx * sine - qy * cosine, qx * cosine + qy * sine, -sine, cosine], axis=2)
+    of_cosine = x * sine - y * cosine
+    of_sine = x * cosine + y * sine
+    rows = np.stack([of_cosine, of_sine, -sine, cosine], axis=2)
     robust = weight
     for _ in range(RESECTION_ROUNDS):
-        normal_matrix = np.einsum("wn,wni,wnj->wij", robust, design, design)
+        normal_matrix = np.einsum("wn,wni,wnj->wij", robust, rows, rows)
         station_part = normal_matrix[:, 2:, 2:] + 1e-9 * np.eye(2)
         mixed = normal_matrix[:, :2, 2:]
         solved = np.linalg.solve(station_part, np.swapaxes(mixed, 1, 2))
         _, vectors = np.linalg.eigh(normal_matrix[:, :2, :2] - mixed @ solved)
         turn = vectors[:, :, 0]
         turned_station = -np.einsum("wij,wj->wi", solved, turn)
-        residual = np.abs(
-            np.einsum("wni,wi->wn", design, np.concatenate([turn, turned_station], axis=1))
-        )
+        unknowns = np.concatenate([turn, turned_station], axis=1)
+        residual = np.abs(np.einsum("wni,wi->wn", rows, unknowns))
         robust = weight / (1.0 + (residual / RESECTION_SCALE_M) ** 2)
-    c = turn[:, 0]
-    s = turn[:, 1]
-    station_x = c * turned_station[:, 0] - s * turned_station[:, 1]
-    station_y = s * turned_station[:, 0] + c * turned_station[:, 1]
-    ahead = (c[:, None] * cosine - s[:, None] * sine) * (qx - station_x[:, None])
-    ahead += (s[:, None] * cosine + c[:, None] * sine) * (qy - station_y[:, None])
+
+    # the station turned back, and the beams of the shots
+    turn_cosine = turn[:, :1]
+    turn_sine = turn[:, 1:]
+    station_x = turn_cosine * turned_station[:, :1] - turn_sine * turned_station[:, 1:]
+    station_y = turn_sine * turned_station[:, :1] + turn_cosine * turned_station[:, 1:]
+    beam_x = turn_cosine * cosine - turn_sine * sine
+    beam_y = turn_sine * cosine + turn_cosine * sine
+    ahead = beam_x * (x - station_x)
+    ahead += beam_y * (y - station_y)
     in_front = (weight * (ahead > 0)).sum(axis=1) / weight.sum(axis=1)
-    back = np.where(in_front < 0.5, -1.0, 1.0)
-    first = back[:, None] * (c[:, None] * main + s[:, None] * across)
-    second = back[:, None] * (-s[:, None] * main + c[:, None] * across)
+    side = np.where(in_front < 0.5, -1.0, 1.0)[:, None]
+    first = side * (turn_cosine * main + turn_sine * across)
+    second = side * (-turn_sine * main + turn_cosine * across)
     distance = np.abs(np.einsum("wni,wi->wn", offset, normal))
     return Stations(
-        position_m=planes.centre_m + station_x[:, None] * main + station_y[:, None] * across,
+        position_m=planes.centre_m + station_x * main + station_y * across,
         frame=np.stack([first, second, normal], axis=2),
         residual_m=masked_median(residual, weight) + masked_median(distance, weight),
         in_front=np.maximum(in_front, 1.0 - in_front),

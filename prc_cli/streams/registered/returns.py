@@ -29,7 +29,8 @@ def count_returns(is_first: Mask) -> tuple[I64, I64]:
     begin = np.flatnonzero(is_first)
     shot = np.cumsum(is_first) - 1
     number = np.arange(len(is_first)) - begin[shot] + 1
-    count = np.diff(begin, append=len(is_first))[shot]
+    n_of_shot = np.diff(begin, append=len(is_first))
+    count = n_of_shot[shot]
     return np.minimum(number, MOST_RETURNS), np.minimum(count, MOST_RETURNS)
 
 
@@ -51,8 +52,8 @@ def returns_of(records: NDArray[np.void], range_m: F64, *, by_time: bool) -> tup
         number, count = count_returns(is_first)
         several = np.flatnonzero(count > 1)
         shot = np.cumsum(is_first) - 1
-        by_range = several[np.lexsort((range_m[several], shot[several]))]
-        number[by_range] = number[several]
+        order = np.lexsort((range_m[several], shot[several]))
+        number[several[order]] = number[several]
         return number, count
     names = records.dtype.names or ()
     if "return_number" not in names or "number_of_returns" not in names:

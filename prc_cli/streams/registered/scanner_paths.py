@@ -16,7 +16,10 @@ from prc_cli.streams.registered.spinning_drive import SpinningDrive
 
 def scanner_paths(drive: Drive | SpinningDrive) -> tuple[ScannerPath, ...]:
     """Return the path of every scanner, from the first to the last point of each pass."""
-    passes = drive.paths if isinstance(drive, SpinningDrive) else _paths_of_passes(drive)
+    if isinstance(drive, SpinningDrive):
+        passes = drive.paths
+    else:
+        passes = tuple(_path_of_pass(drive, number) for number in range(len(drive.figures)))
     by_scanner: dict[int, list[ScannerPath]] = {}
     for path in passes:
         by_scanner.setdefault(path.scanner, []).append(path)
@@ -35,26 +38,28 @@ def _joined(paths: list[ScannerPath]) -> ScannerPath:
     )
 
 
-def _paths_of_passes(drive: Drive) -> tuple[ScannerPath, ...]:
-    return tuple(_path_of_pass(drive, number) for number in range(len(drive.figures)))
-
-
 def _path_of_pass(drive: Drive, number: int) -> ScannerPath:
     scan = drive.scans[number]
-    track = drive.tracks[number]
     figures = drive.figures[number]
     knots = scan.knots
     first_s, last_s = figures.points_s
     inside = (knots.time_s > first_s) & (knots.time_s < last_s)
     time_s = np.concatenate([[first_s], knots.time_s[inside], [last_s]])
-    place = np.clip(np.searchsorted(knots.time_s, time_s), 0, len(knots.time_s) - 1)
-    beyond = np.maximum(np.maximum(knots.time_s[0] - time_s, time_s - knots.time_s[-1]), 0.0)
+    nearest = np.clip(np.searchsorted(knots.time_s, time_s), 0, len(knots.time_s) - 1)
     # beyond the last line the speed may change as usual
-    sigma = track.sigma_m[place] + 0.5 * SPEED_CHANGE_M_S2 * beyond[:, None] ** 2
-    xyz = positions_at(knots.time_s, knots.position_m, time_s)
-    frame = _level_frames(scan)[place]
+    before_s = knots.time_s[0] - time_s
+    after_s = time_s - knots.time_s[-1]
+    beyond_s = np.maximum(np.maximum(before_s, after_s), 0.0)[:, None]
+    sigma = drive.tracks[number].sigma_m[nearest] + 0.5 * SPEED_CHANGE_M_S2 * beyond_s**2
+    frame = _level_frames(scan)[nearest]
     return ScannerPath(
-        figures.scanner, time_s, xyz, sigma, frame, frame[:, :, 0], np.full(len(time_s), number)
+        scanner=figures.scanner,
+        time_s=time_s,
+        xyz_m=positions_at(knots.time_s, knots.position_m, time_s),
+        sigma_m=sigma,
+        frame=frame,
+        axis=frame[:, :, 0],
+        number=np.full(len(time_s), number),
     )
 
 
@@ -66,9 +71,12 @@ def _level_frames(scan: Scan) -> F64:
     # the platform is level on average; only the rate of the mirror, known to a thousandth, drifts
     steady = np.polyval(np.polyfit(since, down, 1), since)
     up = steady + slow_part(knots.time_s, down - steady) + math.pi
-    above = np.cos(up)[:, None] * knots.frame[:, :, 0] + np.sin(up)[:, None] * knots.frame[:, :, 1]
+    first_part = np.cos(up)[:, None] * knots.frame[:, :, 0]
+    second_part = np.sin(up)[:, None] * knots.frame[:, :, 1]
+    above = first_part + second_part
     axis = knots.frame[:, :, 2]
     steps = np.gradient(knots.position_m, axis=0)
-    if float((axis * steps).sum()) < 0.0:
+    is_backward = float((axis * steps).sum()) < 0.0
+    if is_backward:
         axis = -axis
     return np.stack([axis, np.cross(above, axis), above], axis=2)

@@ -160,16 +160,23 @@ class _PassCounts:
         axis = axis[rising]
         first_s = self.points_s[0]
         last_s = self.points_s[-1]
-        time_s = np.concatenate(
-            [[first_s], known_s[(known_s > first_s) & (known_s < last_s)], [last_s]]
-        )
+        inside = (known_s > first_s) & (known_s < last_s)
+        time_s = np.concatenate([[first_s], known_s[inside], [last_s]])
         place = np.clip(np.searchsorted(known_s, time_s), 0, len(known_s) - 1)
-        beyond = np.maximum(np.maximum(known_s[0] - time_s, time_s - known_s[-1]), 0.0)
-        sigma = scatter(station) + 0.5 * SPEED_CHANGE_M_S2 * beyond[:, None] ** 2
+        # beyond the last window the speed may change as usual
+        before_s = known_s[0] - time_s
+        after_s = time_s - known_s[-1]
+        beyond_s = np.maximum(np.maximum(before_s, after_s), 0.0)[:, None]
         xyz = positions_at(known_s, station, time_s)
-        numbers = np.full(len(time_s), number)
         return ScannerPath(
-            scanner, time_s, xyz, sigma, course_frames(time_s, xyz), axis[place], numbers, "forward"
+            scanner=scanner,
+            time_s=time_s,
+            xyz_m=xyz,
+            sigma_m=scatter(station) + 0.5 * SPEED_CHANGE_M_S2 * beyond_s**2,
+            frame=course_frames(time_s, xyz),
+            axis=axis[place],
+            number=np.full(len(time_s), number),
+            forward="forward",
         )
 
     def figures(self, head: SpinningHead) -> PathFigures | None:
@@ -177,9 +184,11 @@ class _PassCounts:
         time_s = np.concatenate(self.time_s)
         if len(time_s) < 2:
             return None
-        moved = np.linalg.norm(np.diff(np.concatenate(self.station_m), axis=0), axis=1)
+        station = np.concatenate(self.station_m)
+        moved = np.linalg.norm(np.diff(station, axis=0), axis=1)
         speed = moved / np.maximum(np.diff(time_s), 0.2 / head.rate.hz)
-        tilt = math.acos(min(float(np.median(np.concatenate(self.cos_tilt))), 1.0))
+        cos_tilt = float(np.median(np.concatenate(self.cos_tilt)))
+        tilt = math.acos(min(cos_tilt, 1.0))
         return PathFigures(
             start_s=float(time_s[0]),
             duration_s=float(time_s[-1] - time_s[0]),
@@ -190,7 +199,7 @@ class _PassCounts:
             share_on_beam=self.n_on_rings / max(self.n_points, 1),
             share_in_front=1.0,
             share_bridged=1.0 - float(np.mean(np.concatenate(self.trusted))),
-            sigma_m=float(np.linalg.norm(scatter(np.concatenate(self.station_m)))),
+            sigma_m=float(np.linalg.norm(scatter(station))),
             share_holes=self.cells.share_empty,
             turns_hz=head.rate.hz,
             lines_hz=1.0 / head.firings.period_s,
@@ -221,25 +230,28 @@ def course_frames(time_s: F64, xyz_m: F64) -> F64:
     xyz_m
         (k, 3) float64 [m].
     """
-    ends = [
-        np.clip(time_s + shift, time_s[0], time_s[-1])
-        for shift in (-0.5 * COURSE_S, 0.5 * COURSE_S)
-    ]
-    before, after = (
-        np.stack([np.interp(end, time_s, column) for column in xyz_m.T[:2]], axis=1) for end in ends
-    )
-    moved = after - before
+    before_s = np.clip(time_s - 0.5 * COURSE_S, time_s[0], time_s[-1])
+    after_s = np.clip(time_s + 0.5 * COURSE_S, time_s[0], time_s[-1])
+    moved = np.empty((len(time_s), 2))
+    for axis in range(2):
+        before_m = np.interp(before_s, time_s, xyz_m[:, axis])
+        after_m = np.interp(after_s, time_s, xyz_m[:, axis])
+        moved[:, axis] = after_m - before_m
     length = np.linalg.norm(moved, axis=1)
-    moves = length > STANDS_M_S * np.maximum(ends[1] - ends[0], 1e-9)
-    last = np.maximum.accumulate(np.where(moves, np.arange(len(time_s)), -1))
-    first = int(np.argmax(moves)) if moves.any() else 0
-    place = np.where(last >= 0, last, first)
+    is_moving = length > STANDS_M_S * np.maximum(after_s - before_s, 1e-9)
+    # a platform that stands keeps the course from before, or at first the one it starts with
+    last_moving = np.maximum.accumulate(np.where(is_moving, np.arange(len(time_s)), -1))
+    place = np.where(last_moving >= 0, last_moving, int(np.argmax(is_moving)))
     course = moved[place] / np.maximum(length[place], 1e-9)[:, None]
-    zeros = np.zeros(len(time_s))
-    ones = np.ones(len(time_s))
-    forward = np.stack([course[:, 0], course[:, 1], zeros], axis=1)
-    left = np.stack([-course[:, 1], course[:, 0], zeros], axis=1)
-    return np.stack([forward, left, np.stack([zeros, zeros, ones], axis=1)], axis=2)
+    frames = np.zeros((len(time_s), 3, 3))
+    forward = frames[:, :, 0]
+    forward[:, 0] = course[:, 0]
+    forward[:, 1] = course[:, 1]
+    left = frames[:, :, 1]
+    left[:, 0] = -course[:, 1]
+    left[:, 1] = course[:, 0]
+    frames[:, 2, 2] = 1.0
+    return frames
 
 
 def reconstruct_spinning(path: str, spools: dict[int, Spool]) -> SpinningDrive | NoScan:
@@ -274,10 +286,8 @@ def reconstruct_spinning(path: str, spools: dict[int, Spool]) -> SpinningDrive |
         head_of_pass = head
         for part in find_passes(points):
             counts = _PassCounts()
-            counts.points_s = [
-                float(points.read(place, place + 1)["time"][0])
-                for place in (part.start, part.stop - 1)
-            ]
+            for place in (part.start, part.stop - 1):
+                counts.points_s.append(float(points.read(place, place + 1)["time"][0]))
             head_of_pass = _place(points, part, placed, head_of_pass, len(figures), counts)
             pass_figures = counts.figures(head)
             n_points += part.stop - part.start
@@ -318,34 +328,37 @@ def _place(
     counts: _PassCounts,
 ) -> SpinningHead:
     """Write the points of a pass with their cells by line; return the head for the next pass."""
-    late = int(head.firings.late.max())
+    latest = int(head.firings.late.max())
     waiting = np.empty(0, placed.dtype)
-    first: int | None = None
+    first_line: int | None = None
     for records in points.chunks(part.start, part.stop, PIECE_POINTS):
         scan, head = scan_piece(np.ascontiguousarray(records["time"]), coordinates(records), head)
         counts.add(scan, head)
         known = scan.ring >= 0
-        if first is None and known.any():
-            first = int(scan.line[known].min()) - late
+        if first_line is None and known.any():
+            first_line = int(scan.line[known].min()) - latest
+        n_lines_before = first_line or 0
         rows = np.empty(len(records), placed.dtype)
         for name in set(points.dtype.names or ()) & set(rows.dtype.names or ()):
             rows[name] = records[name]
-        local = upright(scan)
-        for axis, values in zip(("x", "y", "z"), local.T, strict=True):
+        for axis, values in zip(("x", "y", "z"), upright(scan).T, strict=True):
             rows[axis] = values
         # rings that look ahead fire later for a line: the line has the time of its first shots
-        rows["time"] -= np.where(known, head.firings.late[scan.ring], 0) * head.firings.period_s
+        n_late = np.where(known, head.firings.late[scan.ring], 0)
+        rows["time"] -= n_late * head.firings.period_s
         rows["range"] = scan.range_m
         rows[PASS] = number
         # points off every ring get the firing of the points around them
         firing = np.maximum.accumulate(np.where(known, scan.firing, 0))
-        line = np.where(known, scan.line, firing - late) - (first or 0)
+        line = np.where(known, scan.line, firing - latest) - n_lines_before
         rows["scan_line"] = np.maximum(line, 0)
         rows["column"] = np.where(known, scan.column, NO_COLUMN)
         waiting = np.concatenate([waiting, rows])
-        waiting = waiting[np.lexsort((waiting["range"], waiting["column"], waiting["scan_line"]))]
+        order = np.lexsort((waiting["range"], waiting["column"], waiting["scan_line"]))
+        waiting = waiting[order]
         # later firings may add to these lines
-        is_open = waiting["scan_line"] >= int(firing.max(initial=0)) - late - (first or 0)
+        first_open = int(firing.max(initial=0)) - latest - n_lines_before
+        is_open = waiting["scan_line"] >= first_open
         placed.append(with_returns(waiting[~is_open]))
         waiting = waiting[is_open]
     placed.append(with_returns(waiting))
@@ -354,11 +367,10 @@ def _place(
 
 def with_returns(rows: NDArray[np.void]) -> NDArray[np.void]:
     """Return rows, sorted by line, column and range, with the numbers of their returns."""
-    begins = (np.diff(rows["scan_line"], prepend=-1) != 0) | (
-        np.diff(rows["column"], prepend=-2) != 0
-    )
-    begins |= rows["column"] == NO_COLUMN
-    rows["return_number"], rows["number_of_returns"] = count_returns(begins)
+    is_first = np.diff(rows["scan_line"], prepend=-1) != 0
+    is_first |= np.diff(rows["column"], prepend=-2) != 0
+    is_first |= rows["column"] == NO_COLUMN
+    rows["return_number"], rows["number_of_returns"] = count_returns(is_first)
     return rows
 
 

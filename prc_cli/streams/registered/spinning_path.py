@@ -83,14 +83,15 @@ class HeadPath:
 
     def local(self, time_s: F64, xyz_m: F64) -> F64:
         """Return points in the frame of the head that does not spin, (n, 3) float64 [m]."""
-        middle = 0.5 * (self.time_s[1:] + self.time_s[:-1])
+        between_s = 0.5 * (self.time_s[1:] + self.time_s[:-1])
+        border = [0, *np.searchsorted(time_s, between_s), len(time_s)]
         local = np.empty((len(time_s), 3))
-        border = np.searchsorted(time_s, middle)
-        for i, (begin, end) in enumerate(zip([0, *border], [*border, len(time_s)], strict=True)):
-            since = (time_s[begin:end] - self.time_s[i])[:, None]
-            moved = self.poses.station_m[i] + since * self.poses.velocity_m_s[i]
-            still = (xyz_m[begin:end] - moved) @ self.poses.frame[i]
-            local[begin:end] = turn_by(still, -since * self.poses.rate_rad_s[i])
+        for i in range(len(self.time_s)):
+            part = slice(border[i], border[i + 1])
+            since = (time_s[part] - self.time_s[i])[:, None]
+            station = self.poses.station_m[i] + since * self.poses.velocity_m_s[i]
+            in_frame = (xyz_m[part] - station) @ self.poses.frame[i]
+            local[part] = turn_by(in_frame, -since * self.poses.rate_rad_s[i])
         return local
 
 
@@ -118,11 +119,12 @@ def fit_windows(
     HeadPath
         Poses of the windows with enough points; empty without any.
     """
-    step = 1.0 / rate.hz
-    first, last = (math.floor((edge - rate.origin_s) / step) for edge in (time_s[0], time_s[-1]))
-    middle = rate.origin_s + (np.arange(first, last + 1) + 0.5) * step
-    middle = _filled_middles(time_s, middle, step)
-    windows = full_windows(cut_windows(time_s, xyz_m, middle, step, N_WINDOW))
+    turn_s = 1.0 / rate.hz
+    first = math.floor((time_s[0] - rate.origin_s) / turn_s)
+    last = math.floor((time_s[-1] - rate.origin_s) / turn_s)
+    middle_s = rate.origin_s + (np.arange(first, last + 1) + 0.5) * turn_s
+    middle_s = _filled_middles(time_s, middle_s, turn_s)
+    windows = full_windows(cut_windows(time_s, xyz_m, middle_s, turn_s, N_WINDOW))
     azimuth = windows.azimuth(rate.hz, rate.origin_s)
     fit = lock(windows, azimuth, rings.groups_rad())
     fit = replace(fit, poses=with_climb(fit.poses, rings.climb))
@@ -130,33 +132,42 @@ def fit_windows(
     path = _onto_rings(windows, azimuth, poses, rings)
     for _ in range(REPAIRS):
         # a window that fits worse than the others restarts from the nearest one that fits
-        good = path.on_rings >= _good_share(path)
-        if good.all() or not good.any():
+        usual_share = 1.0
+        if path.is_trusted.any():
+            usual_share = float(np.median(path.on_rings[path.is_trusted]))
+        is_good = path.on_rings >= max(MIN_ON_RINGS, 0.95 * usual_share)
+        if is_good.all() or not is_good.any():
             break
-        moved = _continued(replace(path, is_trusted=good), windows).where(~good)
-        moved = _restarted(windows.where(~good), azimuth[~good], moved, rings)
-        again = _onto_rings(windows.where(~good), azimuth[~good], moved, rings)
-        is_better = again.on_rings > path.on_rings[~good] + 0.01
+        bad_windows = windows.where(~is_good)
+        bad_azimuth = azimuth[~is_good]
+        continued = _continued(replace(path, is_trusted=is_good), windows).where(~is_good)
+        restarted = _restarted(bad_windows, bad_azimuth, continued, rings)
+        repaired = _onto_rings(bad_windows, bad_azimuth, restarted, rings)
+        is_better = repaired.on_rings > path.on_rings[~is_good] + 0.01
         if not is_better.any():
             break
-        path = _with_windows(path, np.flatnonzero(~good)[is_better], again.where(is_better))
+        places = np.flatnonzero(~is_good)[is_better]
+        path = _with_windows(path, places, repaired.where(is_better))
     path = replace(path, poses=_continued(path, windows))
     return replace(path, poses=in_cloud(path.poses, windows))
 
 
-def _filled_middles(time_s: F64, middle: F64, length_s: float) -> F64:
+def _filled_middles(time_s: F64, middle_s: F64, length_s: float) -> F64:
     """Move windows that reach into gaps or beyond the ends to where they are full."""
-    begin = np.searchsorted(time_s, middle - 0.5 * length_s)
-    end = np.searchsorted(time_s, middle + 0.5 * length_s)
-    middle, begin, end = middle[end > begin], begin[end > begin], end[end > begin]
-    first = time_s[begin]
-    last = time_s[end - 1]
-    early = first - (middle - 0.5 * length_s)
-    late = middle + 0.5 * length_s - last
-    moved = np.where(early > late, first + 0.5 * length_s, last - 0.5 * length_s)
-    middle = np.where(np.maximum(early, late) > FULL * length_s, moved, middle)
-    ordered = np.sort(middle)
-    return ordered[np.diff(ordered, prepend=-np.inf) > FULL * length_s]
+    half_s = 0.5 * length_s
+    begin = np.searchsorted(time_s, middle_s - half_s)
+    end = np.searchsorted(time_s, middle_s + half_s)
+    has_points = end > begin
+    middle_s = middle_s[has_points]
+    first_s = time_s[begin[has_points]]
+    last_s = time_s[end[has_points] - 1]
+    empty_before_s = first_s - (middle_s - half_s)
+    empty_after_s = middle_s + half_s - last_s
+    moved_s = np.where(empty_before_s > empty_after_s, first_s + half_s, last_s - half_s)
+    is_full = np.maximum(empty_before_s, empty_after_s) <= FULL * length_s
+    ordered_s = np.sort(np.where(is_full, middle_s, moved_s))
+    is_apart = np.diff(ordered_s, prepend=-np.inf) > FULL * length_s
+    return ordered_s[is_apart]
 
 
 def _predicted_heights(fit: Locked, windows: Windows, rings: Rings) -> Poses:
@@ -165,18 +176,19 @@ def _predicted_heights(fit: Locked, windows: Windows, rings: Rings) -> Poses:
     local = poses.local(windows)
     level = np.hypot(local[:, :, 0], local[:, :, 1])
     station = poses.station_m.copy()
-    before = -1
+    before: int | None = None
     for i in np.flatnonzero(fit.is_locked).tolist():
         axis = poses.frame[i, :, 2]
         z = local[i, windows.use[i], 2]
         far = level[i, windows.use[i]]
         height: float | None = None
-        if before >= 0 and (since := windows.time_s[i] - windows.time_s[before]) < LONGEST_STEP_S:
-            predicted = (
-                station[before] + windows.centre_m[before] + since * poses.velocity_m_s[before]
-            )
-            guess = float(axis @ (predicted - windows.centre_m[i] - station[i]))
-            height = _ring_height(z[:N_HEIGHT], far[:N_HEIGHT], guess, rings)
+        if before is not None:
+            since_s = windows.time_s[i] - windows.time_s[before]
+            if since_s < LONGEST_STEP_S:
+                place = station[before] + windows.centre_m[before]
+                predicted = place + since_s * poses.velocity_m_s[before]
+                guess = float(axis @ (predicted - windows.centre_m[i] - station[i]))
+                height = _ring_height(z[:N_HEIGHT], far[:N_HEIGHT], guess, rings)
         if height is None:
             height, _ = sharpest_height(z, far)
         station[i] += height * axis
@@ -192,14 +204,16 @@ def _ring_height(
 ) -> float | None:
     """Return the height near a guess with most points on rings [m]; None if they are few."""
     known = rings.elevation_rad
-    elevation = np.arctan2(z_m - (guess_m + HEIGHT_GUESS_M)[:, None], level_m)
-    border = 0.5 * (known[1:] + known[:-1])
-    distance = np.abs(elevation - known[np.searchsorted(border, elevation)])
+    heights_m = (guess_m + HEIGHT_GUESS_M)[:, None]
+    elevation = np.arctan2(z_m - heights_m, level_m)
+    off = np.abs(elevation - known[rings.nearest(elevation)])
     reach = min(0.25 * float(np.median(np.diff(known))), WIDEST_RAD)
-    score = np.maximum(0.0, 1.0 - distance / reach).mean(axis=1)
+    score = np.maximum(0.0, 1.0 - off / reach).mean(axis=1)
     best = int(np.argmax(score))
-    is_clear = score[best] > MIN_HEIGHT_SCORE and 0 < best < len(score) - 1
-    return guess_m + float(HEIGHT_GUESS_M[best]) if is_clear else None
+    is_inside = 0 < best < len(score) - 1
+    if not is_inside or score[best] <= MIN_HEIGHT_SCORE:
+        return None
+    return guess_m + float(HEIGHT_GUESS_M[best])
 
 
 def _restarted(
@@ -215,7 +229,8 @@ def _restarted(
     """
     number = np.where(windows.use, ring_numbers(poses.local(windows), rings), -1)
     fitted = replace(windows, use=number >= 0)
-    poses = refine(fitted, azimuth + rings.ahead_rad[number], poses, STEER_SCALES_M).poses
+    beams = azimuth + rings.ahead_rad[number]
+    poses = refine(fitted, beams, poses, STEER_SCALES_M).poses
     local = poses.local(windows)
     level = np.hypot(local[:, :, 0], local[:, :, 1])
     station = poses.station_m.copy()
@@ -223,7 +238,7 @@ def _restarted(
         z = local[i, windows.use[i], 2]
         far = level[i, windows.use[i]]
         height = _ring_height(z[:N_HEIGHT], far[:N_HEIGHT], 0.0, rings)
-        station[i] += (0.0 if height is None else height) * poses.frame[i, :, 2]
+        station[i] += (height or 0.0) * poses.frame[i, :, 2]
     return replace(poses, station_m=station)
 
 
@@ -238,34 +253,35 @@ def _onto_rings(
         local = poses.local(windows)
         number = np.where(windows.use, ring_numbers(local, rings), -1)
         known = number >= 0
-        ahead = rings.ahead_rad[number]
-        beside = wrapped(np.arctan2(local[:, :, 1], local[:, :, 0]) - azimuth - ahead)
-        about = np.zeros((len(azimuth), 3))
+        beams = azimuth + rings.ahead_rad[number]
+        turn = np.zeros((len(azimuth), 3))
         if scales_m is RING_SCALES_M:
             # a window may have followed rings that look ahead of the others
-            about[:, 2] = np.where(known.any(axis=1), medians(beside, known), 0.0)
-        poses = replace(poses, frame=poses.frame @ rotations(about))
+            measured = np.arctan2(local[:, :, 1], local[:, :, 0])
+            beside = wrapped(measured - azimuth - rings.ahead_rad[number])
+            turn[:, 2] = np.where(known.any(axis=1), medians(beside, known), 0.0)
+        poses = replace(poses, frame=poses.frame @ rotations(turn))
         slope = np.where(known, rings.tangent[number], np.nan)
-        poses = refine(replace(windows, use=known), azimuth + ahead, poses, scales_m, slope).poses
+        poses = refine(replace(windows, use=known), beams, poses, scales_m, slope).poses
+
     local = poses.local(windows)
     number = np.where(windows.use, ring_numbers(local, rings), -1)
     known = number >= 0
     level = np.hypot(local[:, :, 0], local[:, :, 1])
-    beam = azimuth + rings.ahead_rad[number]
-    beside = np.abs(np.cos(beam) * local[:, :, 1] - np.sin(beam) * local[:, :, 0])
+    beams = azimuth + rings.ahead_rad[number]
+    beside = np.abs(np.cos(beams) * local[:, :, 1] - np.sin(beams) * local[:, :, 0])
     tangent = rings.tangent[number]
     cone = np.abs(local[:, :, 2] - tangent * level) / np.sqrt(1.0 + tangent**2)
-    near = known & (beside < BEAM_M) & (cone < BEAM_M)
-    share = near.sum(axis=1) / windows.use.sum(axis=1)
-    is_trusted = share >= MIN_ON_RINGS
+    is_near = known & (beside < BEAM_M) & (cone < BEAM_M)
+    on_rings = is_near.sum(axis=1) / windows.use.sum(axis=1)
     return HeadPath(
-        windows.time_s, poses, medians(beside, known), medians(cone, known), share, is_trusted
+        time_s=windows.time_s,
+        poses=poses,
+        beside_m=medians(beside, known),
+        cone_m=medians(cone, known),
+        on_rings=on_rings,
+        is_trusted=on_rings >= MIN_ON_RINGS,
     )
-
-
-def _good_share(path: HeadPath) -> float:
-    usual = float(np.median(path.on_rings[path.is_trusted])) if path.is_trusted.any() else 1.0
-    return max(MIN_ON_RINGS, 0.95 * usual)
 
 
 def _with_windows(path: HeadPath, index: I64, part: HeadPath) -> HeadPath:
@@ -299,15 +315,20 @@ def _continued(path: HeadPath, windows: Windows) -> Poses:
     trusted = np.flatnonzero(path.is_trusted)
     if not len(trusted):
         return path.poses
-    behind = np.searchsorted(path.time_s[trusted], path.time_s)
-    left = trusted[np.maximum(behind - 1, 0)]
-    right = trusted[np.minimum(behind, len(trusted) - 1)]
-    is_left = path.time_s - path.time_s[left] < path.time_s[right] - path.time_s
-    source = np.where(path.is_trusted, np.arange(len(path.time_s)), np.where(is_left, left, right))
-    since = (path.time_s - path.time_s[source])[:, None]
-    poses = path.poses
-    velocity = poses.velocity_m_s[source]
-    turning = poses.rate_rad_s[source]
+    time_s = path.time_s
+    after = np.searchsorted(time_s[trusted], time_s)
+    left = trusted[np.maximum(after - 1, 0)]
+    right = trusted[np.minimum(after, len(trusted) - 1)]
+    is_left = time_s - time_s[left] < time_s[right] - time_s
+    nearest = np.where(is_left, left, right)
+    source = np.where(path.is_trusted, np.arange(len(time_s)), nearest)
+    since_s = (time_s - time_s[source])[:, None]
+    velocity = path.poses.velocity_m_s[source]
+    rate = path.poses.rate_rad_s[source]
     centre = windows.centre_m
-    station = poses.station_m[source] + centre[source] - centre + since * velocity
-    return Poses(station, velocity, poses.frame[source] @ rotations(since * turning), turning)
+    return Poses(
+        station_m=path.poses.station_m[source] + centre[source] - centre + since_s * velocity,
+        velocity_m_s=velocity,
+        frame=path.poses.frame[source] @ rotations(since_s * rate),
+        rate_rad_s=rate,
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,10 +93,32 @@ class Rings:
         order = np.argsort(self.ahead_rad)
         ahead = self.ahead_rad[order]
         weight = np.maximum(self.n_points[order], 1)
-        group = np.cumsum(np.diff(ahead, prepend=ahead[0]) > MIN_APART_RAD)
+        is_new = np.diff(ahead, prepend=ahead[0]) > MIN_APART_RAD
+        group = np.cumsum(is_new)
         total = np.bincount(group, weight)
         groups: F64 = np.bincount(group, weight * ahead) / total
-        return groups - float((total * groups).sum() / total.sum())
+        mean = float((total * groups).sum() / total.sum())
+        return groups - mean
+
+    def spacing_rad(self) -> F64:
+        """Return the distance of every ring from the nearer of its neighbours, (k,) [rad]."""
+        gap = np.diff(self.elevation_rad, prepend=-np.inf, append=np.inf)
+        spacing: F64 = np.minimum(gap[:-1], gap[1:])
+        return spacing
+
+    def nearest(self, elevation_rad: F64) -> I64:
+        """Return the ring with the nearest elevation, int64 of the shape of the elevations."""
+        known = self.elevation_rad
+        border = 0.5 * (known[1:] + known[:-1])
+        ring: I64 = np.searchsorted(border, elevation_rad)
+        return ring
+
+
+def elevations(local_m: F64) -> F64:
+    """Return the elevations of points (..., 3) above the plane of the turn, (...) [rad]."""
+    level = np.hypot(local_m[..., 0], local_m[..., 1])
+    elevation: F64 = np.arctan2(local_m[..., 2], level)
+    return elevation
 
 
 def ring_numbers(local_m: F64, rings: Rings) -> I64:
@@ -114,24 +136,19 @@ def ring_numbers(local_m: F64, rings: Rings) -> I64:
     (n,) int64
         Rank of the ring along the axis; -1 for points off every ring.
     """
-    level = np.hypot(local_m[..., 0], local_m[..., 1])
-    elevation = np.arctan2(local_m[..., 2], level)
-    known = rings.elevation_rad
-    middle = 0.5 * (known[1:] + known[:-1])
-    ring = np.searchsorted(middle, elevation)
-    gap = np.diff(known, prepend=-np.inf, append=np.inf)
-    reach = np.minimum(MAX_RING_SHARE * np.minimum(gap[:-1], gap[1:]), WIDEST_RAD)
-    numbers: I64 = np.where(np.abs(elevation - known[ring]) <= reach[ring], ring, -1)
+    elevation = elevations(local_m)
+    ring = rings.nearest(elevation)
+    reach = np.minimum(MAX_RING_SHARE * rings.spacing_rad(), WIDEST_RAD)
+    is_near = np.abs(elevation - rings.elevation_rad[ring]) <= reach[ring]
+    numbers: I64 = np.where(is_near, ring, -1)
     return numbers
 
 
 def are_clear(local_m: F64, ring: I64, rings: Rings) -> Mask:
     """Mark points nearer to their ring than a quarter of the way to the next one, (n,) bool."""
-    known = rings.elevation_rad
-    gap = np.diff(known, prepend=-np.inf, append=np.inf)
-    quarter = 0.25 * np.minimum(gap[:-1], gap[1:])
-    elevation = np.arctan2(local_m[:, 2], np.hypot(local_m[:, 0], local_m[:, 1]))
-    clear: Mask = (ring >= 0) & (np.abs(elevation - known[ring]) <= quarter[ring])
+    quarter = 0.25 * rings.spacing_rad()
+    off = np.abs(elevations(local_m) - rings.elevation_rad[ring])
+    clear: Mask = (ring >= 0) & (off <= quarter[ring])
     return clear
 
 
@@ -160,14 +177,13 @@ def find_rings(time_s: F64, xyz_m: F64, rate: TurnRate) -> tuple[Rings, TurnRate
         return NoScan("no windows fit")
     poses = _with_heights(fit.poses.where(fit.is_locked), windows)
     is_up = float(np.median(poses.frame[:, 2, 2])) > 0.0
-    rings = Rings(*(np.empty(0),) * 3, np.empty(0, np.int64), 0.0, is_up)
     for round_ in range(RING_ROUNDS):
         local = poses.local(windows)
-        elevation = np.arctan2(local[:, :, 2], np.hypot(local[:, :, 0], local[:, :, 1]))
+        elevation = elevations(local)
         width_rad = math.radians(0.04 if round_ == 0 else 0.02)
         distance = np.linalg.norm(local, axis=2)
-        nearest = min(NEAR_HEAD_M, 0.5 * float(np.median(distance[windows.use])))
-        use = windows.use & (distance > nearest)
+        least_m = min(NEAR_HEAD_M, 0.5 * float(np.median(distance[windows.use])))
+        use = windows.use & (distance > least_m)
         if round_ == 0:
             agree = _agreeing(elevation, use, width_rad)
             windows = windows.where(agree)
@@ -176,19 +192,21 @@ def find_rings(time_s: F64, xyz_m: F64, rate: TurnRate) -> tuple[Rings, TurnRate
             local = local[agree]
             elevation = elevation[agree]
             use = use[agree]
+
+        # rings where the points crowd
         peaks = _ring_elevations(elevation[use], width_rad)
         if len(peaks) < 2:
             return NoScan(f"{len(peaks)} rings, expected 2 or more: points of one plane")
-        nothing = np.zeros(len(peaks))
-        rings = Rings(np.tan(peaks), nothing, nothing, nothing.astype(np.int64), 0.0, is_up)
+        rings = _rings_at(peaks, is_up=is_up)
         number = np.where(use, ring_numbers(local, rings), -1)
-        ahead, turn = _ring_azimuths(local, azimuth, number, len(peaks))
-        about = np.zeros((len(turn), 3))
-        about[:, 2] = turn
-        poses = replace(poses, frame=poses.frame @ rotations(about))
-        rings = measure_rings(
-            poses.local(windows)[use], number[use], replace(rings, ahead_rad=ahead)
-        )
+
+        # how far they look ahead, and the poses by the rings
+        azimuths = _ring_azimuths(local, azimuth, number, len(peaks))
+        turn = np.zeros((len(azimuths.turn_rad), 3))
+        turn[:, 2] = azimuths.turn_rad
+        poses = replace(poses, frame=poses.frame @ rotations(turn))
+        rings = replace(rings, ahead_rad=azimuths.ahead_rad)
+        rings = measure_rings(poses.local(windows)[use], number[use], rings)
         slope = np.where(number >= 0, rings.tangent[number], np.nan)
         beams = azimuth + rings.ahead_rad[number]
         fitted = replace(windows, use=windows.use & (number >= 0))
@@ -197,15 +215,28 @@ def find_rings(time_s: F64, xyz_m: F64, rate: TurnRate) -> tuple[Rings, TurnRate
     return replace(rings, climb=_climb(poses)), replace(rate, hz=hz)
 
 
+def _rings_at(elevation_rad: F64, *, is_up: bool) -> Rings:
+    """Return rings that look straight ahead, not measured yet."""
+    zeros = np.zeros(len(elevation_rad))
+    return Rings(
+        tangent=np.tan(elevation_rad),
+        ahead_rad=zeros,
+        spread_rad=zeros,
+        n_points=zeros.astype(np.int64),
+        climb=0.0,
+        is_up=is_up,
+    )
+
+
 def measure_rings(local_m: F64, number: I64, rings: Rings) -> Rings:
     """Measure the elevation of every ring from points with known rings."""
-    elevation = np.arctan2(local_m[:, 2], np.hypot(local_m[:, 0], local_m[:, 1]))
+    order = np.argsort(number, kind="stable")
+    elevation = elevations(local_m)[order]
+    border = np.searchsorted(number[order], np.arange(rings.n_rings + 1))
     tangent = rings.tangent.copy()
     spread = rings.spread_rad.copy()
-    order = np.argsort(number, kind="stable")
-    border = np.searchsorted(number[order], np.arange(rings.n_rings + 1))
     for ring in range(rings.n_rings):
-        of_ring = elevation[order[border[ring] : border[ring + 1]]]
+        of_ring = elevation[border[ring] : border[ring + 1]]
         if len(of_ring) >= MIN_RING_POINTS:
             middle = float(np.median(of_ring))
             tangent[ring] = math.tan(middle)
@@ -213,40 +244,47 @@ def measure_rings(local_m: F64, number: I64, rings: Rings) -> Rings:
     return replace(rings, tangent=tangent, spread_rad=spread, n_points=np.diff(border))
 
 
+class _RingAzimuths(NamedTuple):
+    ahead_rad: F64
+    """(k,) float64, how far every ring looks ahead [rad]."""
+    turn_rad: F64
+    """(w,) float64, turn of every window by the rings it followed [rad]."""
+
+
 def _ring_azimuths(
     local: F64,
     azimuth: F64,
     number: I64,
     n_rings: int,
-) -> tuple[F64, F64]:
-    """Return how far rings look ahead, and the turn of every window by the rings it followed."""
+) -> _RingAzimuths:
+    # the median azimuth of every ring in every window, beside that of the shots
     beside = wrapped(np.arctan2(local[:, :, 1], local[:, :, 0]) - azimuth)
     n_windows = len(local)
-    table = np.full((n_windows, n_rings), np.nan)
-    cell = np.where(number >= 0, np.arange(n_windows)[:, None] * n_rings + number, -1).ravel()
+    window = np.arange(n_windows)[:, None]
+    cell = np.where(number >= 0, window * n_rings + number, -1).ravel()
     order = np.argsort(cell, kind="stable")
     border = np.searchsorted(cell[order], np.arange(n_windows * n_rings + 1))
-    flat = beside.ravel()[order]
+    sorted_beside = beside.ravel()[order]
+    table = np.full((n_windows, n_rings), np.nan)
     for place in np.flatnonzero(np.diff(border) >= 3):
-        table.ravel()[place] = np.median(flat[border[place] : border[place + 1]])
+        table.ravel()[place] = np.median(sorted_beside[border[place] : border[place + 1]])
+
     # windows are aligned one by one, by the median difference of common rings
     turn = np.zeros(n_windows)
-    ahead = table[np.argmax(np.isfinite(table).sum(axis=1))]
+    fullest = np.argmax(np.isfinite(table).sum(axis=1))
+    ahead = table[fullest]
     for _ in range(3):
         for i in range(n_windows):
             apart = table[i] - ahead
             turn[i] = np.nanmedian(apart) if np.isfinite(apart).any() else 0.0
         with np.errstate(all="ignore"):
-            ahead = _nan_medians((table - turn[:, None]).T)
+            by_ring = (table - turn[:, None]).T
+        known = np.isfinite(by_ring)
+        middle = medians(np.where(known, by_ring, 0.0), known)
+        ahead = np.where(known.any(axis=1), middle, np.nan)
     ahead = np.where(np.isfinite(ahead), ahead, 0.0)
-    middle = float(np.median(ahead))
-    return ahead - middle, turn + middle
-
-
-def _nan_medians(values: F64) -> F64:
-    known = np.isfinite(values)
-    middle = medians(np.where(known, values, 0.0), known)
-    return np.where(known.any(axis=1), middle, np.nan)
+    mean_ahead = float(np.median(ahead))
+    return _RingAzimuths(ahead - mean_ahead, turn + mean_ahead)
 
 
 def _with_heights(poses: Poses, windows: Windows) -> Poses:
@@ -258,32 +296,36 @@ def _with_heights(poses: Poses, windows: Windows) -> Poses:
     axis = poses.frame[:, :, 2]
     upright = np.where(np.abs(axis[:, 2]) > MIN_UPRIGHT, axis[:, 2], np.inf)
     level_m_s = -poses.velocity_m_s[:, 2] / upright
-    best = -math.inf
-    chosen = poses
+    best_sharpness = -math.inf
+    best_poses = poses
     for speed in (np.zeros(len(axis)), level_m_s):
         moving = replace(poses, velocity_m_s=poses.velocity_m_s + speed[:, None] * axis)
         local = moving.local(windows)
         level = np.hypot(local[:, :, 0], local[:, :, 1])
-        heights = [
-            sharpest_height(z[u], far[u])
-            for z, far, u in zip(local[:, :, 2], level, windows.use, strict=True)
-        ]
-        sharpness = float(np.median([sharp for _, sharp in heights]))
-        if sharpness > best:
-            height = np.array([height for height, _ in heights])[:, None]
-            best = sharpness
-            chosen = replace(moving, station_m=moving.station_m + height * axis)
+        heights = []
+        sharpness = []
+        for z, far, use in zip(local[:, :, 2], level, windows.use, strict=True):
+            height, sharp = sharpest_height(z[use], far[use])
+            heights.append(height)
+            sharpness.append(sharp)
+        median_sharpness = float(np.median(sharpness))
+        if median_sharpness > best_sharpness:
+            best_sharpness = median_sharpness
+            station = moving.station_m + np.array(heights)[:, None] * axis
+            best_poses = replace(moving, station_m=station)
         if np.median(np.abs(level_m_s)) < SLOW_M_S:
             break
-    return chosen
+    return best_poses
 
 
 def _climb(poses: Poses) -> float:
     """Return the speed along the axis over the speed across it, a constant of the mount."""
-    velocity = (poses.velocity_m_s[:, None, :] @ poses.frame)[:, 0, :]
+    velocity = poses.velocity_in_frame()
     across = np.hypot(velocity[:, 0], velocity[:, 1])
-    moving = across > MIN_SPEED_M_S
-    return float(np.median(velocity[moving, 2] / across[moving])) if moving.any() else 0.0
+    is_moving = across > MIN_SPEED_M_S
+    if not is_moving.any():
+        return 0.0
+    return float(np.median(velocity[is_moving, 2] / across[is_moving]))
 
 
 def with_climb(poses: Poses, climb: float) -> Poses:
@@ -322,26 +364,27 @@ def _sharpness(
     """
     n_blocks = math.ceil(np.pi / BLOCK_RAD) + 1
     n_bins = round(BLOCK_RAD / bin_rad)
+    n_all = n_blocks * n_bins
     sharpness = np.empty(len(heights))
     for i, height in enumerate(heights):
-        place = ((np.arctan2(z_m - height, level_m) + 0.5 * np.pi) / bin_rad).astype(np.int64)
-        count = np.bincount(place, minlength=n_blocks * n_bins)[: n_blocks * n_bins].reshape(
-            -1, n_bins
-        )
+        elevation = np.arctan2(z_m - height, level_m)
+        place = ((elevation + 0.5 * np.pi) / bin_rad).astype(np.int64)
+        count = np.bincount(place, minlength=n_all)[:n_all].reshape(-1, n_bins)
         total = count.sum(axis=1)
-        pairs = (count * (count - 1)).sum(axis=1) / np.maximum(total * (total - 1), 1)
-        sharpness[i] = (np.sqrt(total) * (pairs - (total > 1) / n_bins)).sum()
+        n_pairs = np.maximum(total * (total - 1), 1)
+        share_in_bin = (count * (count - 1)).sum(axis=1) / n_pairs
+        by_chance = (total > 1) / n_bins
+        sharpness[i] = (np.sqrt(total) * (share_in_bin - by_chance)).sum()
     return sharpness
 
 
 def _ring_density(elevation: F64, width_rad: float) -> F64:
     """Return the density of points about every bin of elevation, from down to up."""
-    count = np.bincount(_ring_bins(elevation), minlength=int(np.pi / RING_BIN_RAD) + 2).astype(
-        np.float64
-    )
+    n_bins = int(np.pi / RING_BIN_RAD) + 2
+    count = np.bincount(_ring_bins(elevation), minlength=n_bins).astype(np.float64)
     reach = math.ceil(4.0 * width_rad / RING_BIN_RAD)
-    shape = np.exp(-0.5 * (np.arange(-reach, reach + 1) * RING_BIN_RAD / width_rad) ** 2)
-    return np.convolve(count, shape, mode="same")
+    widths_off = np.arange(-reach, reach + 1) * RING_BIN_RAD / width_rad
+    return np.convolve(count, np.exp(-0.5 * widths_off**2), mode="same")
 
 
 def _ring_bins(elevation: F64) -> I64:
@@ -351,15 +394,16 @@ def _ring_bins(elevation: F64) -> I64:
 
 def _agreeing(elevation: F64, use: Mask, width_rad: float) -> Mask:
     """Mark windows with the crowded elevations of other windows: their height is right."""
-    every = [
-        _ring_density(angle[known], width_rad) for angle, known in zip(elevation, use, strict=True)
-    ]
-    total = np.sum(every, axis=0)
-    around = math.ceil(2.0 * BLOCK_RAD / RING_BIN_RAD)
-    crowd = np.zeros(len(every))
-    for i, density in enumerate(every):
+    densities = []
+    for angle, used in zip(elevation, use, strict=True):
+        densities.append(_ring_density(angle[used], width_rad))
+    total = np.sum(densities, axis=0)
+    n_around = math.ceil(2.0 * BLOCK_RAD / RING_BIN_RAD)
+    even = np.full(n_around, 1.0 / n_around)
+    crowd = np.zeros(len(densities))
+    for i, density in enumerate(densities):
         others = total - density
-        usual = np.convolve(others, np.full(around, 1.0 / around), mode="same")
+        usual = np.convolve(others, even, mode="same")
         place = _ring_bins(elevation[i][use[i]])
         if len(place):
             crowd[i] = np.median(others[place] / np.maximum(usual[place], 1e-9))
@@ -370,18 +414,18 @@ def _ring_elevations(elevation: F64, width_rad: float) -> F64:
     """Return the elevations of crowded points, rising."""
     density = _ring_density(elevation, width_rad)
     inner = density[1:-1]
-    peaks = 1 + np.flatnonzero(
-        (inner > density[:-2]) & (inner >= density[2:]) & (inner >= MIN_RING_POINTS)
-    )
+    is_peak = (inner > density[:-2]) & (inner >= density[2:]) & (inner >= MIN_RING_POINTS)
     kept: list[int] = []
-    for peak in peaks.tolist():
+    for peak in (1 + np.flatnonzero(is_peak)).tolist():
+        # without a deep valley between them, only the higher of two peaks is a ring
         while kept:
-            valley = float(density[kept[-1] : peak].min())
-            lower = float(min(density[kept[-1]], density[peak]))
+            before = kept[-1]
+            valley = float(density[before:peak].min())
+            lower = float(min(density[before], density[peak]))
             if valley <= MAX_VALLEY * lower and lower - valley > VALLEY_SIGMA * math.sqrt(lower):
                 break
-            if density[kept[-1]] > density[peak]:
-                peak = kept[-1]
+            if density[before] > density[peak]:
+                peak = before
             kept.pop()
         kept.append(peak)
     return (np.array(kept, np.float64) + 0.5) * RING_BIN_RAD - 0.5 * np.pi

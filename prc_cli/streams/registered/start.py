@@ -53,10 +53,10 @@ class Windows:
             nearest = nearest_of(np.flatnonzero(clear), len(time_s))
             axis = stations.frame[:, :, 2]
             keep = np.einsum("wi,wi->w", axis, axis[nearest]) >= 0.0
-        chosen = stations.where(keep | clear, mirrored)
-        return cls(
-            time_s, chosen, mirrored.where(keep | clear, stations), trusted_windows(time_s, chosen)
-        )
+        is_right = keep | clear
+        chosen = stations.where(is_right, mirrored)
+        rejected = mirrored.where(is_right, stations)
+        return cls(time_s, chosen, rejected, trusted_windows(time_s, chosen))
 
 
 def nearest_of(places: I64, n: int) -> I64:
@@ -94,17 +94,14 @@ def stations_of_lines(
     """
     begin, end = lines_between(time_s, turning, spacing_s)
     pieces = pieces_between(time_s, xyz_m, begin, end, WINDOW_POINTS)
-    both = stations_both_ways(pieces, fit_planes(pieces.xyz_m, pieces.weight), turning.hz)
+    planes = fit_planes(pieces.xyz_m, pieces.weight)
     back_rad = turning.bearing(pieces.middle_s)
-    stations, mirrored = (
-        replace(
-            stations,
-            position_m=stations.position_m + pieces.first_m,
-            frame=turned_back(stations.frame, back_rad),
-        )
-        for stations in both
-    )
-    return Windows.settled(pieces.middle_s, stations, mirrored)
+    in_cloud: list[Stations] = []
+    for stations in stations_both_ways(pieces, planes, turning.hz):
+        position = stations.position_m + pieces.first_m
+        frame = turned_back(stations.frame, back_rad)
+        in_cloud.append(replace(stations, position_m=position, frame=frame))
+    return Windows.settled(pieces.middle_s, *in_cloud)
 
 
 def lines_between(time_s: F64, turning: Turning, spacing_s: float) -> tuple[I64, I64]:
@@ -156,35 +153,35 @@ def trusted_windows(time_s: F64, stations: Stations) -> Mask:
     fits = (stations.residual_m < MOST_RESIDUAL_M) & (stations.in_front >= LEAST_IN_FRONT)
     fits &= stations.spread_m >= LEAST_SPREAD_M
     places = np.flatnonzero(fits)
-    if len(places) < 3:
+    n = len(places)
+    if n < 3:
         return fits
+    steps = np.arange(-NEIGHBOURS, NEIGHBOURS + 1)
+    near = np.clip(np.arange(n)[:, None] + steps, 0, n - 1)
+
+    # the turn from the usual frame: the rotation nearest to the median matrix
     frame = stations.frame[places]
+    left, _, right = np.linalg.svd(np.median(frame[near], axis=1))
+    is_mirrored = np.linalg.det(left @ right) < 0
+    left[is_mirrored, :, 2] *= -1.0
+    usual_frame = left @ right
+    turn = rotation_vectors(np.swapaxes(usual_frame, 1, 2) @ frame)
+
+    # the move from a straight, even path through the neighbours
     position = stations.position_m[places]
     when = time_s[places]
-    n = len(places)
-    near = np.clip(np.arange(n)[:, None] + np.arange(-NEIGHBOURS, NEIGHBOURS + 1), 0, n - 1)
-    usual = _nearest_rotations(np.median(frame[near], axis=1))
-    turn = np.linalg.norm(rotation_vectors(np.swapaxes(usual, 1, 2) @ frame), axis=1)
-    # a straight, even path through the neighbours
     since = when[near] - when[:, None]
-    velocity = np.median(
-        np.diff(position[near], axis=1) / np.maximum(np.diff(since, axis=1), 1e-6)[:, :, None],
-        axis=1,
-    )
-    expected = np.median(position[near] - since[:, :, None] * velocity[:, None, :], axis=1)
-    move = np.linalg.norm(position - expected, axis=1)
+    step_m = np.diff(position[near], axis=1)
+    step_s = np.maximum(np.diff(since, axis=1), 1e-6)[:, :, None]
+    velocity = np.median(step_m / step_s, axis=1)
+    moved_back = position[near] - since[:, :, None] * velocity[:, None, :]
+    move = position - np.median(moved_back, axis=1)
+
+    agrees = np.linalg.norm(turn, axis=1) < MOST_TURN_OFF_RAD
+    agrees &= np.linalg.norm(move, axis=1) < MOST_MOVE_OFF_M
     trusted = np.zeros_like(fits)
-    trusted[places[(turn < MOST_TURN_OFF_RAD) & (move < MOST_MOVE_OFF_M)]] = True
+    trusted[places[agrees]] = True
     return trusted
-
-
-def _nearest_rotations(matrices: F64) -> F64:
-    left, _, right = np.linalg.svd(matrices)
-    rotations = left @ right
-    flip = np.linalg.det(rotations) < 0
-    left[flip, :, 2] *= -1.0
-    nearest: F64 = left @ right
-    return nearest
 
 
 def knots_between(windows: Windows, knots_s: F64) -> Knots:
@@ -200,15 +197,16 @@ def knots_between(windows: Windows, knots_s: F64) -> Knots:
     when = windows.time_s[windows.trusted]
     position = windows.stations.position_m[windows.trusted]
     frame = windows.stations.frame[windows.trusted]
-    place = np.clip(np.searchsorted(when, knots_s) - 1, 0, len(when) - 2)
-    share = (knots_s - when[place]) / (when[place + 1] - when[place])
+    before = np.clip(np.searchsorted(when, knots_s) - 1, 0, len(when) - 2)
+    after = before + 1
+    share = (knots_s - when[before]) / (when[after] - when[before])
     # beyond the first and last window the path continues, but not far
-    share = np.clip(share, -2.0, 3.0)
+    share = np.clip(share, -2.0, 3.0)[:, None]
     turn = rotation_vectors(np.swapaxes(frame[:-1], 1, 2) @ frame[1:])
     return Knots(
-        knots_s,
-        position[place] + share[:, None] * (position[place + 1] - position[place]),
-        frame[place] @ rotation_matrices(share[:, None] * turn[place]),
+        time_s=knots_s,
+        position_m=position[before] + share * (position[after] - position[before]),
+        frame=frame[before] @ rotation_matrices(share * turn[before]),
     )
 
 
@@ -222,7 +220,8 @@ def drift_hz(windows: Windows) -> float:
     when = windows.time_s[windows.trusted]
     if len(when) < 4:
         return 0.0
-    down = np.unwrap(np.arctan2(-frame[:, 2, 1], -frame[:, 2, 0]))
-    half = len(when) // 2
-    slope = (down[half : 2 * half] - down[:half]) / (when[half : 2 * half] - when[:half])
-    return -float(np.median(slope)) / (2.0 * math.pi)
+    down_rad = np.unwrap(np.arctan2(-frame[:, 2, 1], -frame[:, 2, 0]))
+    n = len(when) // 2
+    step_rad = down_rad[n : 2 * n] - down_rad[:n]
+    step_s = when[n : 2 * n] - when[:n]
+    return -float(np.median(step_rad / step_s)) / (2.0 * math.pi)

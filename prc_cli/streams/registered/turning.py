@@ -10,6 +10,7 @@ Gauss-Newton (:func:`refine`). All functions work on many windows at once.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -79,8 +80,15 @@ class Poses:
     def local(self, windows: Windows) -> F64:
         """Return points in the frame of the head that does not spin, (w, n, 3) [m]."""
         since_s = windows.since_s[:, :, None]
-        moved = self.station_m[:, None, :] + since_s * self.velocity_m_s[:, None, :]
-        return turn_by((windows.xyz_m - moved) @ self.frame, -since_s * self.rate_rad_s[:, None, :])
+        station = self.station_m[:, None, :] + since_s * self.velocity_m_s[:, None, :]
+        in_frame = (windows.xyz_m - station) @ self.frame
+        turned_since = -since_s * self.rate_rad_s[:, None, :]
+        return turn_by(in_frame, turned_since)
+
+    def velocity_in_frame(self) -> F64:
+        """Return the velocity along the axes of the frame, (w, 3) [m/s]."""
+        velocity: F64 = (self.velocity_m_s[:, None, :] @ self.frame)[:, 0, :]
+        return velocity
 
 
 def turned(hz: float, since_s: F64) -> F64:
@@ -92,8 +100,9 @@ def turned(hz: float, since_s: F64) -> F64:
 
 def turn_by(vectors: F64, angles: F64) -> F64:
     """Turn vectors by small rotation vectors, to the second order."""
-    turned_m: F64 = vectors + _cross(angles, vectors + 0.5 * _cross(angles, vectors))
-    return turned_m
+    half_turned = vectors + 0.5 * _cross(angles, vectors)
+    turned_vectors: F64 = vectors + _cross(angles, half_turned)
+    return turned_vectors
 
 
 def rotations(vectors: F64) -> F64:
@@ -149,17 +158,23 @@ def cut_windows(
     end = np.searchsorted(time_s, middle_s + 0.5 * length_s)
     count = (end - begin)[:, None]
     place = np.arange(n_points)[None, :]
-    spread = np.floor(np.modf(place * _GOLDEN)[0] * count).astype(np.int64)
+    spread_place = np.floor(np.modf(place * _GOLDEN)[0] * count).astype(np.int64)
+    in_window = np.where(count > n_points, spread_place, place)
     use = place < count
-    index = np.where(use, begin[:, None] + np.where(count > n_points, spread, place), 0)
+    index = np.where(use, begin[:, None] + in_window, 0)
     points = xyz_m[index]
     centre = np.zeros((len(points), 3))
     for i, used in enumerate(use):
         if used.any():
             centre[i] = np.median(points[i][used], axis=0)
-    since = np.where(use, time_s[index] - middle_s[:, None], 0.0)
-    points = np.where(use[:, :, None], points - centre[:, None, :], 0.0)
-    return Windows(middle_s, centre, since, points, use, index)
+    return Windows(
+        time_s=middle_s,
+        centre_m=centre,
+        since_s=np.where(use, time_s[index] - middle_s[:, None], 0.0),
+        xyz_m=np.where(use[:, :, None], points - centre[:, None, :], 0.0),
+        use=use,
+        index=index,
+    )
 
 
 def medians(values: F64, use: Mask) -> F64:
@@ -192,36 +207,48 @@ def fit_linear(windows: Windows, azimuth: F64, n_rounds: int = LINEAR_ROUNDS) ->
     sine = np.sin(azimuth)[:, :, None]
     since = windows.since_s[:, :, None]
     points = windows.xyz_m
-    rows = np.concatenate(
-        [-sine * points, cosine * points, sine, -cosine, since * sine, -since * cosine], axis=2
-    )
+    # the six unknowns of the axes e1 and e2, then the two of the station and of the velocity
+    of_axes = [-sine * points, cosine * points]
+    of_moves = [sine, -cosine, since * sine, -since * cosine]
+    rows = np.concatenate(of_axes + of_moves, axis=2)
     weight = windows.use.astype(np.float64)
     for _ in range(n_rounds):
         normal = np.swapaxes(rows, 1, 2) @ (rows * weight[:, :, None])
+        # station and velocity are eliminated: the axes are the smallest eigenvector of the rest
         corner = normal[:, 6:, 6:] + 1e-9 * np.eye(4)
         inner = np.linalg.solve(corner, normal[:, 6:, :6])
         _, vectors = np.linalg.eigh(normal[:, :6, :6] - normal[:, :6, 6:] @ inner)
         axes = vectors[:, :, 0] * np.sqrt(2.0)
         moves = -(inner @ axes[:, :, None])[:, :, 0]
-        residual = np.abs(rows @ np.concatenate([axes, moves], axis=1)[:, :, None])[:, :, 0]
+        unknowns = np.concatenate([axes, moves], axis=1)
+        residual = np.abs(rows @ unknowns[:, :, None])[:, :, 0]
         median = medians(residual, windows.use)
         scale = np.maximum(1.5 * median, LEAST_SCALE_M)[:, None]
         weight = windows.use / (1.0 + (residual / scale) ** 2)
+
+    # the nearest frame of right angles, and station and velocity in the cloud
     axes = axes.reshape(-1, 2, 3)
     left, size, right = np.linalg.svd(axes, full_matrices=False)
     plane = left @ right
+    first = plane[:, 0]
+    second = plane[:, 1]
+    frame = np.stack([first, second, _cross(first, second)], axis=2)
     inverse = np.linalg.pinv(axes)
     station = (inverse @ moves[:, :2, None])[:, :, 0]
     velocity = (inverse @ moves[:, 2:, None])[:, :, 0]
-    frame = np.stack([plane[:, 0], plane[:, 1], _cross(plane[:, 0], plane[:, 1])], axis=2)
-    poses = Poses(station, velocity, frame, np.zeros_like(station))
+    poses = Poses(station, velocity, frame, rate_rad_s=np.zeros_like(station))
+
     local = poses.local(windows)
-    ahead = (np.cos(azimuth) * local[:, :, 0] + np.sin(azimuth) * local[:, :, 1] > 0) & windows.use
-    share = ahead.sum(axis=1) / np.maximum(windows.use.sum(axis=1), 1)
-    # half planes of opposite direction
+    ahead = np.cos(azimuth) * local[:, :, 0] + np.sin(azimuth) * local[:, :, 1]
+    n_ahead = ((ahead > 0) & windows.use).sum(axis=1)
+    share = n_ahead / np.maximum(windows.use.sum(axis=1), 1)
+    # a frame whose points lie behind the head is turned to the opposite half planes
     frame[:, :, :2] *= np.where(share < 0.5, -1.0, 1.0)[:, None, None]
     return LinearFit(
-        poses, median, size[:, 1] / np.maximum(size[:, 0], 1e-12), np.maximum(share, 1.0 - share)
+        poses=poses,
+        residual_m=median,
+        roundness=size[:, 1] / np.maximum(size[:, 0], 1e-12),
+        in_front=np.maximum(share, 1.0 - share),
     )
 
 
@@ -261,8 +288,9 @@ def refine(
     sine = np.sin(azimuth)
     zero = np.zeros_like(cosine)
     since = windows.since_s[:, :, None]
-    side = np.stack([-sine, cosine, zero], axis=2)
+    out_of_plane = np.stack([-sine, cosine, zero], axis=2)
     cone = zero
+    # unknowns: turn, move, change of the rate, change of the velocity, three each
     prior = np.zeros(12)
     prior[6:9] = 1.0 / SPIN_RAD_S**2
     if slope is None:
@@ -270,50 +298,72 @@ def refine(
         prior[11] = 1e2
     for scale in scales_m:
         frame = poses.frame
-        moved = poses.station_m[:, None, :] + since * poses.velocity_m_s[:, None, :]
-        still = (windows.xyz_m - moved) @ frame
+        station = poses.station_m[:, None, :] + since * poses.velocity_m_s[:, None, :]
+        in_frame = (windows.xyz_m - station) @ frame
         angle = since * poses.rate_rad_s[:, None, :]
-        local = turn_by(still, -angle)
-        beside = cosine * local[:, :, 1] - sine * local[:, :, 0]
+        local = turn_by(in_frame, -angle)
+        x = local[:, :, 0]
+        y = local[:, :, 1]
+        z = local[:, :, 2]
+
+        # every point lies in the half plane of its shot
+        beside = cosine * y - sine * x
         weight = windows.use / (scale**2 + beside**2)
-        normal, gradient = _equations(still, turn_by(side, angle), since, beside, weight)
+        direction = turn_by(out_of_plane, angle)
+        equations = _equations(in_frame, direction, since, beside, weight)
+        normal = equations.normal
+        gradient = equations.gradient
         if slope is not None:
+            # and on the cone of its ring
             known = windows.use & np.isfinite(slope)
             rise = np.where(known, slope, 0.0)
-            level = np.maximum(np.hypot(local[:, :, 0], local[:, :, 1]), 1e-9)
+            level = np.maximum(np.hypot(x, y), 1e-9)
             upright = np.where(known, 1.0 / np.sqrt(1.0 + rise**2), 0.0)
-            cone = upright * (local[:, :, 2] - rise * level)
-            out = -rise * upright / level
-            across = np.stack([out * local[:, :, 0], out * local[:, :, 1], upright], axis=2)
+            cone = upright * (z - rise * level)
+            outward = -rise * upright / level
+            off_cone = np.stack([outward * x, outward * y, upright], axis=2)
             weight = known / (scale**2 + cone**2)
-            second = _equations(still, turn_by(across, angle), since, cone, weight)
-            normal = normal + second[0]
-            gradient = gradient + second[1]
-        velocity = (poses.velocity_m_s[:, None, :] @ frame)[:, 0, :]
-        unknown = np.concatenate([np.zeros((len(frame), 6)), poses.rate_rad_s, velocity], axis=1)
-        gradient = gradient + prior * unknown
-        step = -np.linalg.solve(normal + np.diag(prior + 1e-9), gradient[:, :, None])[:, :, 0]
+            equations = _equations(in_frame, turn_by(off_cone, angle), since, cone, weight)
+            normal = normal + equations.normal
+            gradient = gradient + equations.gradient
+
+        no_prior = np.zeros((len(frame), 6))
+        velocity = poses.velocity_in_frame()
+        unknowns = np.concatenate([no_prior, poses.rate_rad_s, velocity], axis=1)
+        gradient = gradient + prior * unknowns
+        damped = normal + np.diag(prior + 1e-9)
+        step = -np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
         poses = Poses(
-            poses.station_m + (frame @ step[:, 3:6, None])[:, :, 0],
-            poses.velocity_m_s + (frame @ step[:, 9:12, None])[:, :, 0],
-            frame @ rotations(step[:, :3]),
-            poses.rate_rad_s + step[:, 6:9],
+            station_m=poses.station_m + (frame @ step[:, 3:6, None])[:, :, 0],
+            velocity_m_s=poses.velocity_m_s + (frame @ step[:, 9:12, None])[:, :, 0],
+            frame=frame @ rotations(step[:, :3]),
+            rate_rad_s=poses.rate_rad_s + step[:, 6:9],
         )
     return Refined(poses, beside, cone)
 
 
+class _Equations(NamedTuple):
+    """Normal equations of turn, move, rate and velocity."""
+
+    normal: F64
+    """(w, 12, 12) float64."""
+    gradient: F64
+    """(w, 12) float64."""
+
+
 def _equations(
-    still: F64,
-    across: F64,
+    in_frame: F64,
+    direction: F64,
     since: F64,
     residual: F64,
     weight: F64,
-) -> tuple[F64, F64]:
-    """Return equations of turn, move, rate, speed, (w, 12, 12), and the gradient, (w, 12)."""
-    rows = np.concatenate([-_cross(still, across), -across], axis=2)
-    rows = np.concatenate([rows, since * rows], axis=2)
+) -> _Equations:
+    """Return the equations of residuals (w, n) along directions (w, n, 3) at points in frames."""
+    of_pose = np.concatenate([-_cross(in_frame, direction), -direction], axis=2)
+    rows = np.concatenate([of_pose, since * of_pose], axis=2)
     weighted = np.swapaxes(rows * weight[:, :, None], 1, 2)
-    return weighted @ rows, (weighted @ residual[:, :, None])[:, :, 0]
+    gradient = (weighted @ residual[:, :, None])[:, :, 0]
+    return _Equations(weighted @ rows, gradient)
 
 
 def in_cloud(poses: Poses, windows: Windows) -> Poses:
