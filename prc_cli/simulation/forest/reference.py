@@ -48,22 +48,23 @@ def _label(scene: ForestScene, xyz: F64) -> U8:
         return labels
     low = xyz[:, :2].min(axis=0)
     high = xyz[:, :2].max(axis=0)
-    middle = (low + high) / 2
+    x, y = ((low + high) / 2).tolist()
     reach = float(np.hypot(*(high - low))) / 2
-    stems = scene.stems_near(float(middle[0]), float(middle[1]), reach + _SEARCH_M)
+    stems = scene.stems_near(x, y, reach + _SEARCH_M)
     if not len(stems):
         return labels
     breast = stems.breast
     radius = CYLINDER_RADIUS_OF_DBH * stems.dbh
     tree = cKDTree(breast[:, :2])
     away, nearest = tree.query(xyz[:, :2])
-    labels[xyz[:, 2] <= breast[nearest, 2] - GROUND_BELOW_BREAST_M] = Label.GROUND
+    is_ground = xyz[:, 2] <= breast[nearest, 2] - GROUND_BELOW_BREAST_M
+    labels[is_ground] = Label.GROUND
     # cylinders overlap, and the nearest tree may have the thinner one
     near = np.flatnonzero(away <= radius.max())
-    k = min(_NEIGHBOURS, len(stems))
-    away, around = tree.query(xyz[near, :2], k=np.arange(1, k + 1))
-    above_breast = xyz[near, 2, None] - breast[around, 2]
-    within = (away <= radius[around]) & (above_breast >= -CYLINDER_BELOW_BREAST_M)
-    within &= above_breast <= CYLINDER_HEIGHT_M - CYLINDER_BELOW_BREAST_M
-    labels[near[within.any(axis=1)]] = Label.STEM
+    n_neighbours = min(_NEIGHBOURS, len(stems))
+    away, neighbours = tree.query(xyz[near, :2], k=np.arange(1, n_neighbours + 1))
+    above_breast = xyz[near, 2, None] - breast[neighbours, 2]
+    is_inside = (away <= radius[neighbours]) & (above_breast >= -CYLINDER_BELOW_BREAST_M)
+    is_inside &= above_breast <= CYLINDER_HEIGHT_M - CYLINDER_BELOW_BREAST_M
+    labels[near[is_inside.any(axis=1)]] = Label.STEM
     return labels

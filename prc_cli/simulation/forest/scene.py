@@ -45,18 +45,17 @@ class Floor:
 
     def growth(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
         """Return what grows in a cell."""
-        return Bodies.join(
-            [
-                self._mounds(i, j, chance),
-                self._herbs(i, j, chance),
-                self._shrubs(i, j, chance),
-                self._saplings(i, j, chance),
-            ]
-        )
+        parts = [self._mounds(i, j, chance)]
+        parts.append(self._herbs(Material.GRASS, i, j, chance))
+        parts.append(self._herbs(Material.UNDERGROWTH, i, j, chance))
+        parts.append(self._shrubs(i, j, chance))
+        parts.append(self._saplings(i, j, chance))
+        return Bodies.join(parts)
 
     def dead_wood(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
         """Return logs and stumps of a cell."""
-        return Bodies.join([self._logs(i, j, chance), self._stumps(i, j, chance)])
+        logs = self._logs(i, j, chance)
+        return Bodies.join([logs, self._stumps(i, j, chance)])
 
     def _places(
         self,
@@ -67,74 +66,86 @@ class Floor:
     ) -> F64:
         """Return random points on the ground of a cell, (n, 3)."""
         n = chance.poisson(per_ha / 10_000 * CELL_M**2)
-        xy = (chance.random((n, 2)) + np.array([i, j])) * CELL_M
+        return self._on_ground((chance.random((n, 2)) + np.array([i, j])) * CELL_M)
+
+    def _on_ground(self, xy: F64) -> F64:
+        """Return points on the ground (n, 3) at places (n, 2) [m]."""
         return np.column_stack([xy, self._terrain.height(xy[:, 0], xy[:, 1])])
 
     def _off_path(self, places: F64, reach: F64) -> Mask:
         """Return which places leave the path free with all that is around them; (n,) bool."""
-        return np.asarray(self._rows.distance(places[:, 0], places[:, 1]) > reach + _ELBOW_M)
+        distance = self._rows.distance(places[:, 0], places[:, 1])
+        return np.asarray(distance > reach + _ELBOW_M)
 
     def _mounds(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
         """Return mounds and boulders, sunk into the ground."""
-        place = self._places(self._params.mounds_per_ha, i, j, chance)
-        n = len(place)
-        half = np.column_stack(
-            [chance.uniform(0.3, 1.3, n), chance.uniform(0.3, 1.0, n), chance.uniform(0.15, 0.5, n)]
-        )
-        place[:, 2] -= 0.25 * half[:, 2]
-        return ellipsoids(place, half, chance.uniform(0, np.pi, n), Material.SOIL)
+        centre = self._places(self._params.mounds_per_ha, i, j, chance)
+        n = len(centre)
+        half_x = chance.uniform(0.3, 1.3, n)
+        half_y = chance.uniform(0.3, 1.0, n)
+        half_z = chance.uniform(0.15, 0.5, n)
+        centre[:, 2] -= 0.25 * half_z
+        half = np.column_stack([half_x, half_y, half_z])
+        return ellipsoids(centre, half, chance.uniform(0, np.pi, n), Material.SOIL)
 
-    def _herbs(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
-        """Return moss and grass, which are ground, and dwarf shrubs, which are not."""
-        parts = []
-        for material, share, low, high, density in (
-            (Material.GRASS, 0.35, 0.05, 0.15, 8.0),
-            (Material.UNDERGROWTH, 0.65, 0.12, 0.4, 3.5),
-        ):
-            place = self._places(share * self._params.herbs_per_ha, i, j, chance)
-            n = len(place)
-            half = np.column_stack([chance.uniform(0.4, 1.4, (n, 2)), chance.uniform(low, high, n)])
-            leaves = density * self._params.leaf_density * chance.uniform(0.6, 1.4, n)
-            parts.append(ellipsoids(place, half, chance.uniform(0, np.pi, n), material, leaves))
-        return Bodies.join(parts)
+    def _herbs(self, material: Material, i: int, j: int, chance: np.random.Generator) -> Bodies:
+        """Return moss and grass, which are ground, or dwarf shrubs, which are not."""
+        herbs_per_ha = self._params.herbs_per_ha
+        if material == Material.GRASS:
+            centre = self._places(0.35 * herbs_per_ha, i, j, chance)
+            heights_m = (0.05, 0.15)
+            density = 8.0
+        else:
+            centre = self._places(0.65 * herbs_per_ha, i, j, chance)
+            heights_m = (0.12, 0.4)
+            density = 3.5
+        n = len(centre)
+        half_xy = chance.uniform(0.4, 1.4, (n, 2))
+        half = np.column_stack([half_xy, chance.uniform(*heights_m, n)])
+        leaves = density * self._params.leaf_density * chance.uniform(0.6, 1.4, n)
+        return ellipsoids(centre, half, chance.uniform(0, np.pi, n), material, leaves)
 
     def _shrubs(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
         """Return shrubs of two tufts each."""
         place = self._places(self._params.shrubs_per_ha, i, j, chance)
         width, tall = chance.uniform(0.3, 1.0, (2, len(place)))
         tall = 0.4 + 1.6 * tall * width
+        # a lower, wider tuft and a higher one, apart
         centre = np.repeat(place[:, None], 2, axis=1)
-        centre[..., :2] += chance.uniform(-0.6, 0.6, centre[..., :2].shape) * width[:, None, None]
+        apart = chance.uniform(-0.6, 0.6, centre[..., :2].shape)
+        centre[..., :2] += apart * width[:, None, None]
         centre[..., 2] += tall[:, None] * (0.35, 0.65)
-        half = np.stack(
-            [width[:, None] * (1.0, 0.7), width[:, None] * (0.8, 0.6), tall[:, None] * (0.4, 0.35)],
-            axis=-1,
-        )
+        half_x = width[:, None] * (1.0, 0.7)
+        half_y = width[:, None] * (0.8, 0.6)
+        half_z = tall[:, None] * (0.4, 0.35)
+        half = np.stack([half_x, half_y, half_z], axis=-1)
         density = 1.6 * self._params.leaf_density * chance.uniform(0.5, 1.5, half.shape[:2])
         yaw = chance.uniform(0, np.pi, half.shape[:2])
-        keep = self._off_path(place, 1.6 * width)
-        return ellipsoids(centre[keep], half[keep], yaw[keep], Material.UNDERGROWTH, density[keep])
+        kept = self._off_path(place, 1.6 * width)
+        return ellipsoids(centre[kept], half[kept], yaw[kept], Material.UNDERGROWTH, density[kept])
 
     def _saplings(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
         """Return young spruces: a thin stem and three tufts, one narrower than the other."""
         place = self._places(self._params.saplings_per_ha, i, j, chance)
-        tall = 0.6 + 4.4 * chance.random(len(place)) ** 2
-        width = 0.15 + tall * chance.uniform(0.12, 0.25, len(place))
-        density = 2.0 * self._params.leaf_density * chance.uniform(0.6, 1.4, (len(place), 3))
-        keep = self._off_path(place, width)
-        place = place[keep]
-        tall = tall[keep]
-        width = width[keep]
-        density = density[keep]
+        n = len(place)
+        tall = 0.6 + 4.4 * chance.random(n) ** 2
+        width = 0.15 + tall * chance.uniform(0.12, 0.25, n)
+        density = 2.0 * self._params.leaf_density * chance.uniform(0.6, 1.4, (n, 3))
+        kept = self._off_path(place, width)
+        place = place[kept]
+        tall = tall[kept]
+        width = width[kept]
         up = np.zeros_like(place)
         up[:, 2] = tall
-        foot = 0.004 + 0.008 * tall
-        stems = cones(place, place + up, foot, 0.2 * foot, Material.UNDERGROWTH)
-        centre = place[:, None] + up[:, None] * np.array([0.25, 0.52, 0.8])[:, None]
-        half = np.stack(
-            [width[:, None] * (1.0, 0.7, 0.35)] * 2 + [tall[:, None] * (0.2, 0.2, 0.2)], axis=-1
-        )
-        tufts = ellipsoids(centre, half, np.zeros(half.shape[:2]), Material.UNDERGROWTH, density)
+        radius = 0.004 + 0.008 * tall
+        stems = cones(place, place + up, radius, 0.2 * radius, Material.UNDERGROWTH)
+        heights = np.array([0.25, 0.52, 0.8])[:, None]
+        centre = place[:, None] + up[:, None] * heights
+        half_xy = width[:, None] * (1.0, 0.7, 0.35)
+        half_z = tall[:, None] * (0.2, 0.2, 0.2)
+        half = np.stack([half_xy, half_xy, half_z], axis=-1)
+        yaw = np.zeros(half.shape[:2])
+        tufts = ellipsoids(centre, half, yaw, Material.UNDERGROWTH, density[kept])
         return Bodies.join([stems, tufts])
 
     def _logs(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
@@ -144,16 +155,15 @@ class Floor:
         length = 1.0 + 5.0 * chance.random(n) ** 2
         thick = chance.uniform(0.02, 0.03, n) * length
         azimuth = chance.uniform(0, 2 * np.pi, n)
-        away = length[:, None] / 2 * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
-        nodes = []
-        for end in (-1.0, 0.0, 1.0):
-            xy = middle[:, :2] + end * away
-            nodes.append(np.column_stack([xy, self._terrain.height(xy[:, 0], xy[:, 1])]))
-        nodes[1][:, 2] = np.maximum(nodes[1][:, 2], (nodes[0][:, 2] + nodes[2][:, 2]) / 2)
-        for node in nodes:
+        half = length[:, None] / 2 * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
+        start = self._on_ground(middle[:, :2] - half)
+        end = self._on_ground(middle[:, :2] + half)
+        # a log bridges a hollow
+        middle[:, 2] = np.maximum(middle[:, 2], (start[:, 2] + end[:, 2]) / 2)
+        for node in (start, middle, end):
             node[:, 2] += 0.8 * thick
-        first = cones(nodes[0], nodes[1], thick, 0.8 * thick, Material.DEAD_WOOD)
-        second = cones(nodes[1], nodes[2], 0.8 * thick, 0.6 * thick, Material.DEAD_WOOD)
+        first = cones(start, middle, thick, 0.8 * thick, Material.DEAD_WOOD)
+        second = cones(middle, end, 0.8 * thick, 0.6 * thick, Material.DEAD_WOOD)
         return Bodies.join([first, second])
 
     def _stumps(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
@@ -162,19 +172,16 @@ class Floor:
         n = len(place)
         radius = chance.uniform(0.08, 0.22, n)
         tall = chance.uniform(0.15, 0.5, n)
-        keep = self._off_path(place, radius)
-        place = place[keep]
-        radius = radius[keep]
-        tall = tall[keep]
-        foot = place.copy()
-        top = place.copy()
+        kept = self._off_path(place, radius)
+        radius = radius[kept]
+        foot = place[kept]
+        top = place[kept]
         foot[:, 2] -= 0.15
-        top[:, 2] += tall
+        top[:, 2] += tall[kept]
         sides = cones(foot, top, 1.25 * radius, radius, Material.DEAD_WOOD)
-        face = np.column_stack([radius, radius, np.full(len(radius), 0.02)])
-        return Bodies.join(
-            [sides, ellipsoids(top, face, np.zeros(len(radius)), Material.DEAD_WOOD)]
-        )
+        half = np.column_stack([radius, radius, np.full(len(radius), 0.02)])
+        faces = ellipsoids(top, half, np.zeros(len(radius)), Material.DEAD_WOOD)
+        return Bodies.join([sides, faces])
 
 
 _OVERHANG_M = 6.0
@@ -244,33 +251,30 @@ class ForestScene:
     def _make_cell(self, i: int, j: int) -> _Cell:
         stems = self._stems(i, j)
         to_path = self.rows.distance(stems.base[:, 0], stems.base[:, 1])
+        tree_chance = generator(self._seed, Purpose.TREES, i, j)
+        floor_chance = generator(self._seed, Purpose.FLOOR, i, j)
+        wood_chance = generator(self._seed, Purpose.DEAD_WOOD, i, j)
         bodies = Bodies.join(
             [
                 triangles(self.terrain.triangles(i, j), Material.SOIL),
-                tree_bodies(
-                    stems,
-                    to_path,
-                    self.params.leaf_density,
-                    generator(self._seed, Purpose.TREES, i, j),
-                ),
-                self._floor.growth(i, j, generator(self._seed, Purpose.FLOOR, i, j)),
-                self._floor.dead_wood(i, j, generator(self._seed, Purpose.DEAD_WOOD, i, j)),
+                tree_bodies(stems, to_path, self.params.leaf_density, tree_chance),
+                self._floor.growth(i, j, floor_chance),
+                self._floor.dead_wood(i, j, wood_chance),
             ]
         )
         numbers = first_number(self._seed, i, j) + np.arange(len(bodies), dtype=np.float64)
-        bodies = replace(bodies, number=numbers)
-        return _Cell(bodies, *footprints(bodies))
+        return _Cell(replace(bodies, number=numbers), *footprints(bodies))
 
 
 def _cells_near(x_m: float, y_m: float, radius_m: float) -> Iterator[tuple[int, int]]:
     """Yield the cells that a circle touches, in the order of their indices."""
-    for i in range(
-        math.floor((x_m - radius_m) / CELL_M), math.floor((x_m + radius_m) / CELL_M) + 1
-    ):
-        for j in range(
-            math.floor((y_m - radius_m) / CELL_M), math.floor((y_m + radius_m) / CELL_M) + 1
-        ):
-            beside_x = max(i * CELL_M - x_m, x_m - (i + 1) * CELL_M, 0.0)
+    first_i = math.floor((x_m - radius_m) / CELL_M)
+    last_i = math.floor((x_m + radius_m) / CELL_M)
+    first_j = math.floor((y_m - radius_m) / CELL_M)
+    last_j = math.floor((y_m + radius_m) / CELL_M)
+    for i in range(first_i, last_i + 1):
+        beside_x = max(i * CELL_M - x_m, x_m - (i + 1) * CELL_M, 0.0)
+        for j in range(first_j, last_j + 1):
             beside_y = max(j * CELL_M - y_m, y_m - (j + 1) * CELL_M, 0.0)
             if math.hypot(beside_x, beside_y) <= radius_m:
                 yield i, j

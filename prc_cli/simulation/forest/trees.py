@@ -60,25 +60,28 @@ def _bodies(shape: Shape, numbers: F64, material: Material) -> Bodies:
 
 
 def footprints(bodies: Bodies) -> tuple[F64, F64]:
-    """Return a circle on the map around every body."""
+    """Return a circle on the map around every body: centres (n, 2) and radii (n,) [m]."""
     numbers = bodies.numbers
     corners = numbers.reshape(-1, 3, 3)[:, :, :2]
     centre = numbers[:, :2].copy()
     reach = numbers[:, 3:5].max(axis=1, initial=0.0)
 
-    triangle = bodies.shape == Shape.TRIANGLE
-    centre[triangle] = corners[triangle].mean(axis=1)
-    reach[triangle] = np.hypot(*np.moveaxis(corners[triangle] - centre[triangle, None], -1, 0)).max(
-        axis=1, initial=0.0
-    )
+    is_triangle = bodies.shape == Shape.TRIANGLE
+    triangle = corners[is_triangle]
+    centre[is_triangle] = triangle.mean(axis=1)
+    from_centre = triangle - centre[is_triangle, None]
+    away = np.hypot(from_centre[..., 0], from_centre[..., 1])
+    reach[is_triangle] = away.max(axis=1, initial=0.0)
 
-    cone = bodies.shape == Shape.CONE
-    centre[cone] = corners[cone, :2].mean(axis=1)
-    half_length = np.hypot(*(corners[cone, 1] - corners[cone, 0]).T) / 2
-    reach[cone] = half_length + numbers[cone, 6:8].max(axis=1, initial=0.0)
+    is_cone = bodies.shape == Shape.CONE
+    cone = corners[is_cone]
+    centre[is_cone] = cone[:, :2].mean(axis=1)
+    axis = cone[:, 1] - cone[:, 0]
+    half_length = np.hypot(axis[:, 0], axis[:, 1]) / 2
+    reach[is_cone] = half_length + numbers[is_cone, 6:8].max(axis=1, initial=0.0)
 
-    box = bodies.shape == Shape.BOX
-    reach[box] = np.hypot(numbers[box, 3], numbers[box, 4])
+    is_box = bodies.shape == Shape.BOX
+    reach[is_box] = np.hypot(numbers[is_box, 3], numbers[is_box, 4])
     return centre, reach
 
 
@@ -209,19 +212,17 @@ class Stand:
         is_kept = ~(close & (rank < cell.rank[:, None])).any(axis=1)
         trees = self._measure(cell.xy[is_kept], cell.chance[is_kept])
         # the widest part of the foot and the stem at the walker's height stay off the path
-        clear = np.full(len(trees), np.inf)
+        to_path = np.full(len(trees), np.inf)
         for above in (0.0, 1.0, 2.0):
             axis = trees.axis(np.full(len(trees), above))
-            clear = np.minimum(clear, self._rows.distance(axis[:, 0], axis[:, 1]))
-        return trees.take(clear > self._params.clearance_m + 0.75 * trees.dbh)
+            to_path = np.minimum(to_path, self._rows.distance(axis[:, 0], axis[:, 1]))
+        return trees.take(to_path > self._params.clearance_m + 0.75 * trees.dbh)
 
     def _measure(self, xy: F64, chance: F64) -> Stems:
         params = self._params
-        species = (
-            np.searchsorted(self._species_below, chance[:, 0], side="right")
-            .clip(max=2)
-            .astype(np.uint8)
-        )
+        kind = np.searchsorted(self._species_below, chance[:, 0], side="right")
+        species = kind.clip(max=2).astype(np.uint8)
+        # diameters by Weibull's distribution
         scale = (params.dbh_mean_m - params.dbh_min_m) / math.gamma(1 + 1 / params.dbh_shape)
         above_least = scale * (-np.log1p(-chance[:, 1])) ** (1 / params.dbh_shape)
         dbh = np.minimum(params.dbh_min_m + above_least, _THICKEST_M)
@@ -229,11 +230,16 @@ class Stand:
         # tenth
         a = np.array([1.2, 1.7, 1.0])[species]
         b = np.array([0.195, 0.185, 0.185])[species]
-        height = 1.3 + (100 * dbh / (a + b * 100 * dbh)) ** 2 * (0.9 + 0.2 * chance[:, 2])
-        lean = math.tan(math.radians(params.lean_deg)) * _two_normals(chance[:, 3:5])
-        sweep = params.sweep_m * _two_normals(chance[:, 5:7])
-        base = np.column_stack([xy, self._terrain.height(xy[:, 0], xy[:, 1])])
-        return Stems(base, dbh, height, lean, sweep, species)
+        above_breast = (100 * dbh / (a + b * 100 * dbh)) ** 2
+        height = 1.3 + above_breast * (0.9 + 0.2 * chance[:, 2])
+        return Stems(
+            base=np.column_stack([xy, self._terrain.height(xy[:, 0], xy[:, 1])]),
+            dbh=dbh,
+            height=height,
+            lean=math.tan(math.radians(params.lean_deg)) * _two_normals(chance[:, 3:5]),
+            sweep=params.sweep_m * _two_normals(chance[:, 5:7]),
+            species=species,
+        )
 
 
 def _two_normals(chance: F64) -> F64:
@@ -341,20 +347,28 @@ def tree_bodies(
 
 def _stem_bodies(stems: Stems) -> Bodies:
     """Return the stems: five truncated cones each, from below the ground to the top."""
-    h = stems.height
-    above = [
-        np.full(len(stems), -0.3),
-        np.full(len(stems), _FOOT_M),
-        np.full(len(stems), BREAST_HEIGHT_M),
-    ]
-    above += [np.maximum(0.35 * h, 2.0), np.maximum(0.7 * h, 3.0), h]
+    n = len(stems)
+    height = stems.height
     radius = stems.dbh / 2
+
+    def tapered(above: F64) -> F64:
+        share = (height - above) / (height - BREAST_HEIGHT_M)
+        width: F64 = radius * share.clip(0.0) ** 0.75
+        return width
+
     # the foot swells; above breast height the stem tapers slowly, in the crown fast
-    widths = [1.5 * radius, 1.12 * radius, radius]
-    widths += [radius * ((h - up) / (h - BREAST_HEIGHT_M)).clip(0.0) ** 0.75 for up in above[3:5]]
-    widths.append(np.full(len(stems), 0.01))
-    axis = np.stack([stems.axis(up) for up in above], axis=1)
-    width = np.stack(widths, axis=1)
+    trunk_top = np.maximum(0.35 * height, 2.0)
+    crown_middle = np.maximum(0.7 * height, 3.0)
+    nodes = (
+        (np.full(n, -0.3), 1.5 * radius),
+        (np.full(n, _FOOT_M), 1.12 * radius),
+        (np.full(n, BREAST_HEIGHT_M), radius),
+        (trunk_top, tapered(trunk_top)),
+        (crown_middle, tapered(crown_middle)),
+        (height, np.full(n, 0.01)),
+    )
+    axis = np.stack([stems.axis(above) for above, _ in nodes], axis=1)
+    width = np.stack([width for _, width in nodes], axis=1)
     return cones(axis[:, :-1], axis[:, 1:], width[:, :-1], width[:, 1:], Material.STEM)
 
 
@@ -370,7 +384,8 @@ def _crowns(
     radius = habit.crown_radius[0] + habit.crown_radius[1] * stems.dbh
     base = chance.uniform(*habit.crown_base, n) * stems.height
     over_path = to_path < radius * (1 + habit.scatter) + 0.5
-    base = np.where(over_path, np.maximum(base, np.minimum(_HEADROOM_M, 0.8 * stems.height)), base)
+    headroom = np.minimum(_HEADROOM_M, 0.8 * stems.height)
+    base = np.where(over_path, np.maximum(base, headroom), base)
 
     # tufts one above the other, the crown narrowing from one to the next
     length = stems.height - base
@@ -378,36 +393,29 @@ def _crowns(
     # the lowest one is a little higher, so that it is not cut flat where the crown begins
     level[0] += 0.2 / habit.tufts
     narrowing = 1 - (1 - habit.tip) * level
-    width = (
-        habit.tuft_radius * radius[:, None] * narrowing * chance.uniform(0.7, 1.0, (n, habit.tufts))
-    )
+    width = habit.tuft_radius * radius[:, None] * narrowing
+    width = width * chance.uniform(0.7, 1.0, (n, habit.tufts))
     centre = _on_axis(stems, base[:, None] + length[:, None] * level)
     aside = chance.uniform(-habit.scatter, habit.scatter, (n, habit.tufts, 2))
     centre[..., :2] += aside * radius[:, None, None] * narrowing[:, None]
-    tall = np.broadcast_to(length[:, None] / habit.tufts * habit.tuft_height, width.shape)
-    half = np.stack([width, width * chance.uniform(0.7, 1.0, width.shape), tall], axis=-1)
+    depth = width * chance.uniform(0.7, 1.0, width.shape)
     # above the top is no leaf, and below the headroom none bars the path
+    tall = np.broadcast_to(length[:, None] / habit.tufts * habit.tuft_height, width.shape)
     low = base[:, None] + stems.base[:, 2:]
     high = (stems.base[:, 2] + stems.height)[:, None] + 0.3
-    half[..., 2] = np.minimum(
-        half[..., 2], np.minimum(high - centre[..., 2], centre[..., 2] - low).clip(0.15)
-    )
+    room = np.minimum(high - centre[..., 2], centre[..., 2] - low).clip(0.15)
+    half = np.stack([width, depth, np.minimum(tall, room)], axis=-1)
     density = habit.leaf_density * leaf_density * chance.uniform(0.6, 1.4, (n, habit.tufts))
-    leaves = ellipsoids(
-        centre, half, chance.uniform(0, np.pi, (n, habit.tufts)), Material.LEAVES, density
-    )
+    yaw = chance.uniform(0, np.pi, (n, habit.tufts))
+    leaves = ellipsoids(centre, half, yaw, Material.LEAVES, density)
 
-    live = _branches(
-        stems,
-        base[:, None] + length[:, None] * 0.7 * chance.random((n, habit.live)),
-        radius,
-        habit,
-        chance,
-    )
+    live_heights = base[:, None] + length[:, None] * 0.7 * chance.random((n, habit.live))
+    live = _branches(stems, live_heights, radius, habit, chance)
     dead_from = np.where(to_path < 2.5, np.maximum(_HEADROOM_M, 0.9), 0.9)
     dead_to = np.maximum(base + 0.2 * length, dead_from + 1.0)
-    heights = dead_from[:, None] + (dead_to - dead_from)[:, None] * chance.random((n, habit.dead))
-    dead = _branches(stems, heights, None, habit, chance)
+    dead_span = (dead_to - dead_from)[:, None]
+    dead_heights = dead_from[:, None] + dead_span * chance.random((n, habit.dead))
+    dead = _branches(stems, dead_heights, None, habit, chance)
     return Bodies.join([leaves, live, dead])
 
 
@@ -418,7 +426,10 @@ def _branches(
     habit: _Habit,
     chance: np.random.Generator,
 ) -> Bodies:
-    """Return thin cones that leave the stems at some heights."""
+    """Return thin cones that leave the stems at heights (n, k) above their feet.
+
+    ``reach``: how far the crown reaches (n,), None for dead branches [m].
+    """
     start = _on_axis(stems, above)
     azimuth = chance.uniform(0, 2 * np.pi, above.shape)
     rise = chance.uniform(*habit.rise, above.shape)
@@ -426,11 +437,12 @@ def _branches(
         length = chance.uniform(*habit.dead_length_m, above.shape)
     else:
         length = reach[:, None] * chance.uniform(0.5, 0.9, above.shape)
-    towards = np.stack(
-        [np.cos(azimuth) * np.cos(rise), np.sin(azimuth) * np.cos(rise), np.sin(rise)], axis=-1
-    )
+    x = np.cos(azimuth) * np.cos(rise)
+    y = np.sin(azimuth) * np.cos(rise)
+    direction = np.stack([x, y, np.sin(rise)], axis=-1)
+    end = start + direction * length[..., None]
     thick = 0.006 + 0.006 * length
-    return cones(start, start + towards * length[..., None], thick, 0.4 * thick, Material.BRANCH)
+    return cones(start, end, thick, 0.4 * thick, Material.BRANCH)
 
 
 def _on_axis(stems: Stems, above: F64) -> F64:

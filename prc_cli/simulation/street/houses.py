@@ -82,9 +82,14 @@ def style_of(
 ) -> Style:
     """Draw the measures of a house of one kind."""
     u = rng.random(9).tolist()
-    storeys = {"terrace": 2 + int(3 * u[0]), "block": 4 + int(4 * u[0])}.get(
-        kind, 1 + int(1.8 * u[0])
-    )
+    is_terrace = kind == "terrace"
+    is_block = kind == "block"
+    if is_terrace:
+        storeys = 2 + int(3 * u[0])
+    elif is_block:
+        storeys = 4 + int(4 * u[0])
+    else:
+        storeys = 1 + int(1.8 * u[0])
     return Style(
         width=width,
         depth=9.0 + 2.0 * u[1],
@@ -93,8 +98,8 @@ def style_of(
         pitch=2.1 + 1.1 * u[3],
         window=(0.5 + 0.25 * u[4], 1.3 + 0.3 * u[5]),
         recess=0.10 + 0.10 * u[6],
-        gable=kind == "house" or (kind == "terrace" and u[7] < 0.6),
-        balconies=kind == "block" or (kind == "terrace" and u[7] > 0.7),
+        gable=kind == "house" or (is_terrace and u[7] < 0.6),
+        balconies=is_block or (is_terrace and u[7] > 0.7),
         shop=kind != "house" and setback == 0 and u[8] < 0.3,
     )
 
@@ -106,36 +111,33 @@ def _on_lot(
     lot: Lot,
     rng: np.random.Generator,
 ) -> None:
+    """Add what is built on a lot, or behind an open yard or a passage."""
     low, high = lot.span
     middle = 0.5 * (low + high)
     width = high - low
-    across = side.side * (BUILDING_LINE_M + lot.setback)
+    facade = side.side * (BUILDING_LINE_M + lot.setback)
     if lot.kind == "yard":
-        far = BUILDING_LINE_M + rng.uniform(20.0, 32.0)
+        far = side.side * (BUILDING_LINE_M + rng.uniform(20.0, 32.0))
         if side.junction is not None and abs(side.junction.s - middle) < 30.0:
             # the houses of the side street are behind this yard
             return
-        frame = frame_at(ground, middle, side.side * far, side.side)
+        frame = frame_at(ground, middle, far, side.side)
         build(pile, frame, style_of(rng, "terrace", width + rng.uniform(0.0, 8.0), 1.0), rng)
-        return
-    if lot.kind == "passage":
-        frame = frame_at(ground, middle, across, side.side)
-        top = rng.uniform(7.0, 11.0)
-        pile.box(frame, ((-0.5 * width, 0.5 * width), (0.0, 10.0), (3.1, top)), Material.WALL)
+    elif lot.kind == "passage":
+        frame = frame_at(ground, middle, facade, side.side)
+        above = (3.1, rng.uniform(7.0, 11.0))
+        pile.box(frame, (-0.5 * width, 0.5 * width), (0.0, 10.0), above, Material.WALL)
         behind = frame_at(ground, middle, side.side * (BUILDING_LINE_M + 28.0), side.side)
-        pile.box(behind, ((-8.0, 8.0), (0.0, 8.0), (_BASE_M, rng.uniform(4.0, 9.0))), Material.WALL)
-        return
-    if lot.kind == "house":
-        # the driveway or a path leads past the house
-        gap = 3.8 if lot.driveway is not None else 2.0
-        middle = middle + 0.5 * (0.8 - gap)
-        width = width - gap - 0.8
-    build(
-        pile,
-        frame_at(ground, middle, across, side.side),
-        style_of(rng, lot.kind, width, lot.setback),
-        rng,
-    )
+        top = rng.uniform(4.0, 9.0)
+        pile.box(behind, (-8.0, 8.0), (0.0, 8.0), (_BASE_M, top), Material.WALL)
+    else:
+        if lot.kind == "house":
+            # the driveway or a path leads past the house
+            gap = 3.8 if lot.driveway is not None else 2.0
+            middle = middle + 0.5 * (0.8 - gap)
+            width = width - gap - 0.8
+        frame = frame_at(ground, middle, facade, side.side)
+        build(pile, frame, style_of(rng, lot.kind, width, lot.setback), rng)
 
 
 def _along_side_street(
@@ -164,27 +166,26 @@ def build(
 ) -> None:
     """Add a house."""
     half = 0.5 * style.width
+    along = (-half, half)
     top = style.top
-    back = style.recess + _CURTAIN_M
-    pile.box(frame, ((-half, half), (back, style.depth), (_BASE_M, top)), Material.WALL)
+    inner = (style.recess + _CURTAIN_M, style.depth)
+    pile.box(frame, along, inner, (_BASE_M, top), Material.WALL)
     _front(pile, frame, style, door=int(rng.integers(len(style.middles))))
     if style.gable:
         _gable(pile, frame, style, rise=style.depth * rng.uniform(0.3, 0.5))
         if rng.random() < 0.6:
             u = rng.uniform(-0.35, 0.35) * style.width
             v = 0.5 * style.depth + 1.0
-            pile.box(
-                frame, ((u - 0.35, u + 0.35), (v - 0.3, v + 0.3), (top, top + 4.2)), Material.WALL
-            )
+            chimney_u = (u - 0.35, u + 0.35)
+            chimney_v = (v - 0.3, v + 0.3)
+            pile.box(frame, chimney_u, chimney_v, (top, top + 4.2), Material.WALL)
     else:
         out = 0.15 + 0.3 * rng.random()
-        pile.box(frame, ((-half, half), (-out, 0.05), (top - 0.3, top)), Material.WALL)
-        pile.box(
-            frame, ((-half, half), (0.0, style.depth), (top - 0.02, top + 0.05)), Material.ROOF
-        )
+        pile.box(frame, along, (-out, 0.05), (top - 0.3, top), Material.WALL)
+        pile.box(frame, along, (0.0, style.depth), (top - 0.02, top + 0.05), Material.ROOF)
     if style.storeys > 1 and rng.random() < 0.4:
         ledge = style.storey + 0.1
-        pile.box(frame, ((-half, half), (-0.1, 0.02), (ledge, ledge + 0.18)), Material.WALL)
+        pile.box(frame, along, (-0.1, 0.02), (ledge, ledge + 0.18), Material.WALL)
     if style.balconies:
         _balconies(pile, frame, style, first=int(rng.integers(2)))
 
@@ -195,39 +196,38 @@ def _front(
     style: Style,
     door: int,
 ) -> None:
-    """Piers, bands, glass and door."""
+    """Add piers, bands, glass and door."""
     half = 0.5 * style.width
-    deep = style.recess
-    edges = [(middle - style.window[0], middle + style.window[0]) for middle in style.middles]
-    low = -half
-    end = half
-    for i, (u0, u1) in enumerate([*edges, (end, end)]):
+    recess = style.recess
+    windows = [(middle - style.window[0], middle + style.window[0]) for middle in style.middles]
+    pier_low = -half
+    for i, (window_low, window_high) in enumerate([*windows, (half, half)]):
         # the first and the last pier close the house beside the panes
-        outer = i in (0, len(edges))
-        pile.box(
-            frame,
-            ((low, u0), (0.0, deep + _CURTAIN_M * outer), (_BASE_M, style.top)),
-            Material.WALL,
-        )
-        low = u1
+        is_outer = i in (0, len(windows))
+        pier_v = (0.0, recess + _CURTAIN_M * is_outer)
+        pile.box(frame, (pier_low, window_low), pier_v, (_BASE_M, style.top), Material.WALL)
+        pier_low = window_high
+
+    # the band under the windows, with the door
+    low = windows[0][0]
+    high = windows[-1][1]
+    doorway = windows[door]
     sill = 0.45 if style.shop else 0.95
-    inside = edges[0][0], edges[-1][1]
-    way = edges[door]
-    for span in ((inside[0], way[0]), (way[1], inside[1])):
+    for span in ((low, doorway[0]), (doorway[1], high)):
         if span[1] - span[0] > 0.1:
-            pile.box(frame, (span, (0.0, deep), (_BASE_M, sill)), Material.WALL)
-    pile.box(frame, (way, (0.0, deep + 0.3), (_BASE_M, 0.12)), Material.WALL)
-    pile.box(frame, (way, (deep - 0.04, deep + 0.04), (0.12, 2.15)), Material.DOOR)
-    head = 2.6 if style.shop else 0.95 + style.window[1]
+            pile.box(frame, span, (0.0, recess), (_BASE_M, sill), Material.WALL)
+    pile.box(frame, doorway, (0.0, recess + 0.3), (_BASE_M, 0.12), Material.WALL)
+    pile.box(frame, doorway, (recess - 0.04, recess + 0.04), (0.12, 2.15), Material.DOOR)
+
+    # the bands above them
+    lintel = 2.6 if style.shop else 0.95 + style.window[1]
     for storey in range(1, style.storeys + 1):
-        above = storey * style.storey + 0.9 if storey < style.storeys else style.top
-        pile.box(frame, (inside, (0.0, deep), (head, above)), Material.WALL)
-        head = above + style.window[1]
-    (u0, u1) = inside
+        next_sill = storey * style.storey + 0.9 if storey < style.storeys else style.top
+        pile.box(frame, (low, high), (0.0, recess), (lintel, next_sill), Material.WALL)
+        lintel = next_sill + style.window[1]
     top = style.top
-    pile.face(
-        frame, ((u0, deep, 0.0), (u1, deep, 0.0), (u1, deep, top), (u0, deep, top)), Material.GLASS
-    )
+    pane = ((low, recess, 0.0), (high, recess, 0.0), (high, recess, top), (low, recess, top))
+    pile.face(frame, pane, Material.GLASS)
 
 
 def _gable(
@@ -236,29 +236,27 @@ def _gable(
     style: Style,
     rise: float,
 ) -> None:
-    """Roof with its ridge along the street, eaves, and the triangles of wall under it."""
+    """Add a roof with its ridge along the street, eaves, and the triangles of wall under it."""
     half = 0.5 * style.width + 0.02
     middle = 0.5 * style.depth
     out = 0.4
-    drop = out * rise / middle
-    for eaves in (-out, style.depth + out):
-        low = style.top - drop
-        high = style.top + rise
+    eaves_w = style.top - out * rise / middle
+    ridge_w = style.top + rise
+    for eaves_v in (-out, style.depth + out):
         corners = (
-            (-half, eaves, low),
-            (half, eaves, low),
-            (half, middle, high),
-            (-half, middle, high),
+            (-half, eaves_v, eaves_w),
+            (half, eaves_v, eaves_w),
+            (half, middle, ridge_w),
+            (-half, middle, ridge_w),
         )
         pile.face(frame, corners, Material.ROOF)
     for u in (-half + 0.02, half - 0.02):
-        ends = frame.point(u, 0.0, style.top), frame.point(u, style.depth, style.top)
-        pile.triangle(*ends, frame.point(u, middle, style.top + rise), Material.WALL)
-    pile.box(
-        frame,
-        ((-half, half), (-out - 0.1, -out + 0.02), (style.top - drop - 0.1, style.top - drop)),
-        Material.ROOF,
-    )
+        front = frame.point(u, 0.0, style.top)
+        back = frame.point(u, style.depth, style.top)
+        ridge = frame.point(u, middle, ridge_w)
+        pile.triangle(front, back, ridge, Material.WALL)
+    gutter_v = (-out - 0.1, -out + 0.02)
+    pile.box(frame, (-half, half), gutter_v, (eaves_w - 0.1, eaves_w), Material.ROOF)
 
 
 def _balconies(
@@ -267,15 +265,13 @@ def _balconies(
     style: Style,
     first: int,
 ) -> None:
-    """Balconies before every other column of windows: a slab and a railing of bars."""
+    """Add balconies before every other column of windows: a slab and a railing of bars."""
+    half = 0.5 * min(style.pitch, 2.6)
     for middle in style.middles[first::2]:
+        along = (middle - half + 0.1, middle + half - 0.1)
         for storey in range(1, min(style.storeys, 6)):
             floor = storey * style.storey + 0.1
             if floor < 2.9:
                 continue
-            along = (
-                middle - 0.5 * min(style.pitch, 2.6) + 0.1,
-                middle + 0.5 * min(style.pitch, 2.6) - 0.1,
-            )
-            pile.box(frame, (along, (-1.1, 0.02), (floor - 0.15, floor)), Material.BALCONY)
-            pile.box(frame, (along, (-1.1, -1.06), (floor, floor + 1.0)), Material.BALCONY, 25.0)
+            pile.box(frame, along, (-1.1, 0.02), (floor - 0.15, floor), Material.BALCONY)
+            pile.box(frame, along, (-1.1, -1.06), (floor, floor + 1.0), Material.BALCONY, 25.0)

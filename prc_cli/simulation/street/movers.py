@@ -11,6 +11,7 @@ the movers near a place at a time follow by arithmetic.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -58,45 +59,43 @@ class Model:
 
 def draw_model(rng: np.random.Generator, vans: float = 0.12) -> Model:
     """Draw a car, or a van with a probability."""
-    u = rng.random(6).tolist()
-    if u[0] < vans:
-        return _van(u)
-    half = 1.9 + 0.45 * u[1]
-    tyre = 0.31 + 0.02 * u[2]
-    roof = 1.45 + 0.08 * u[3] + (0.15 if u[0] > 0.8 else 0.0)
-    hatch = u[4] < 0.6
+    kind, length, tyre, height, tail, width = rng.random(6).tolist()
+    if kind < vans:
+        half = 2.5 + 0.3 * length
+        return Model(
+            half=half,
+            wide=0.98,
+            clearance=0.20,
+            tyre=0.33,
+            axles=(-0.58 * half, 0.66 * half),
+            deck=((-half, 1.10), (half - 0.85, 1.10), (half - 0.15, 0.85), (half, 0.50)),
+            cabin=(-half + 0.02, -half + 0.12, half - 1.55, half - 0.75),
+            roof=1.95 + 0.55 * height,
+            lean=0.10,
+            glazed=tail < 0.3,
+        )
+    half = 1.9 + 0.45 * length
+    roof = 1.45 + 0.08 * height + (0.15 if kind > 0.8 else 0.0)
     waist = 0.62 * roof
-    rear = -half + (0.10 if hatch else 0.75)
-    deck = (
-        (-half, 0.50),
-        (-half + 0.05, waist - 0.03),
-        (half - 1.20, waist),
-        (half - 0.25, 0.72),
-        (half, 0.48),
-    )
-    cabin = (rear, rear + (0.45 if hatch else 0.75), half - 1.95, half - 1.10)
-    wide = 0.875 + 0.05 * u[5]
+    is_hatchback = tail < 0.6
+    rear = -half + (0.10 if is_hatchback else 0.75)
     return Model(
-        half,
-        wide,
-        0.17 + 0.03 * u[2],
-        tyre,
-        (-0.60 * half, 0.64 * half),
-        deck,
-        cabin,
-        roof,
-        0.17,
-        True,
-    )
-
-
-def _van(u: list[float]) -> Model:
-    half = 2.5 + 0.3 * u[1]
-    roof = 1.95 + 0.55 * u[3]
-    deck = ((-half, 1.10), (half - 0.85, 1.10), (half - 0.15, 0.85), (half, 0.50))
-    cabin = (-half + 0.02, -half + 0.12, half - 1.55, half - 0.75)
-    return Model(
-        half, 0.98, 0.20, 0.33, (-0.58 * half, 0.66 * half), deck, cabin, roof, 0.10, u[4] < 0.3
+        half=half,
+        wide=0.875 + 0.05 * width,
+        clearance=0.17 + 0.03 * tyre,
+        tyre=0.31 + 0.02 * tyre,
+        axles=(-0.60 * half, 0.64 * half),
+        deck=(
+            (-half, 0.50),
+            (-half + 0.05, waist - 0.03),
+            (half - 1.20, waist),
+            (half - 0.25, 0.72),
+            (half, 0.48),
+        ),
+        cabin=(rear, rear + (0.45 if is_hatchback else 0.75), half - 1.95, half - 1.10),
+        roof=roof,
+        lean=0.17,
+        glazed=True,
     )
 
 
@@ -104,8 +103,9 @@ def car(pile: Pile, frame: Frame, model: Model) -> None:
     """Add a car."""
     _body(pile, frame, model)
     _cabin(pile, frame, model)
-    under = (-model.half + 0.15, model.half - 0.15), (-model.wide + 0.25, model.wide - 0.25)
-    pile.box(frame, (*under, (model.clearance + 0.02, 0.62)), Material.CAR_BODY)
+    under_u = (-model.half + 0.15, model.half - 0.15)
+    under_v = (-model.wide + 0.25, model.wide - 0.25)
+    pile.box(frame, under_u, under_v, (model.clearance + 0.02, 0.62), Material.CAR_BODY)
     for axle in model.axles:
         for side in (-1.0, 1.0):
             wheel = frame.point(axle, side * (model.wide - 0.12), model.tyre)
@@ -113,38 +113,40 @@ def car(pile: Pile, frame: Frame, model: Model) -> None:
 
 
 def _body(pile: Pile, frame: Frame, model: Model) -> None:
-    """Flanks with arches over the wheels, bonnet and boot, ends."""
+    """Add flanks with arches over the wheels, bonnet and boot, ends."""
     arch = model.tyre + 0.05
-    above = 2 * model.tyre + 0.04
+    arch_top = 2 * model.tyre + 0.04
     low = [(-model.half, model.clearance + 0.1)]
     for axle in model.axles:
         low += [
             (axle - arch, model.clearance),
-            (axle - 0.6 * arch, above),
-            (axle + 0.6 * arch, above),
+            (axle - 0.6 * arch, arch_top),
+            (axle + 0.6 * arch, arch_top),
+            (axle + arch, model.clearance),
         ]
-        low += [(axle + arch, model.clearance)]
-    low += [(model.half, model.clearance + 0.1)]
+    low.append((model.half, model.clearance + 0.1))
     # the upper edge has corners above the arches, so that no triangle lies across an arch
-    upper = sorted({*model.deck, *((u, model.waist(u)) for u, w in low if w == above)})
+    above_arches = [(u, model.waist(u)) for u, w in low if w == arch_top]
+    upper = sorted({*model.deck, *above_arches})
+    inner = model.wide - 0.03
     for side in (-1.0, 1.0):
         under = [frame.point(u, side * model.wide, w) for u, w in low]
-        over = [frame.point(u, side * (model.wide - 0.03), w) for u, w in upper]
-        i = j = 0
+        over = [frame.point(u, side * inner, w) for u, w in upper]
         # triangles between the lower and the upper edge, from the rear to the front
+        i = j = 0
         while i + 1 < len(low) or j + 1 < len(over):
-            if j + 1 == len(over) or (i + 1 < len(low) and low[i + 1][0] < upper[j + 1][0]):
+            is_upper_done = j + 1 == len(over)
+            if is_upper_done or (i + 1 < len(low) and low[i + 1][0] < upper[j + 1][0]):
                 pile.triangle(under[i], under[i + 1], over[j], Material.CAR_BODY)
                 i += 1
             else:
                 pile.triangle(under[i], over[j + 1], over[j], Material.CAR_BODY)
                 j += 1
-    inner = model.wide - 0.03
-    for (u0, w0), (u1, w1) in zip(model.deck[:-1], model.deck[1:], strict=True):
-        corners = (u0, -inner, w0), (u1, -inner, w1), (u1, inner, w1), (u0, inner, w0)
+    for (u0, w0), (u1, w1) in itertools.pairwise(model.deck):
+        corners = ((u0, -inner, w0), (u1, -inner, w1), (u1, inner, w1), (u0, inner, w0))
         pile.face(frame, corners, Material.CAR_BODY)
+    foot = model.clearance + 0.1
     for end in (-model.half, model.half):
-        foot = low[0][1]
         top = model.waist(end)
         corners = (
             (end, -model.wide, foot),
@@ -198,8 +200,8 @@ def _cabin(pile: Pile, frame: Frame, model: Model) -> None:
     pile.quad(a, b, c, d, Material.CAR_BODY)
     if model.glazed:
         for u in (roof_front - 0.3, 0.5 * (back + roof_front) + 0.2):
-            seats = ((u - 0.35, u - 0.2), (-0.6, 0.6), (0.6, model.roof - 0.25))
-            pile.box(frame, seats, Material.CAR_BODY)
+            backs = (u - 0.35, u - 0.2)
+            pile.box(frame, backs, (-0.6, 0.6), (0.6, model.roof - 0.25), Material.CAR_BODY)
 
 
 def _door_pane(
@@ -208,20 +210,21 @@ def _door_pane(
     model: Model,
     side: float,
 ) -> None:
-    """Side window of a van's cabin, a little before its flank."""
+    """Add the side window of a van's cabin, a little before its flank."""
     back = model.cabin[2] - 0.35
     front = model.cabin[3] - 0.25
-    share = [0.12, 0.62]
+    low = 0.12
+    high = 0.62
     rise = model.roof - model.waist(back)
 
-    def spot(u: float, up: float) -> Point:
+    def corner(u: float, up: float) -> Point:
         wide = model.wide - 0.04 + (model.wide - model.lean - model.wide + 0.04) * up
         return frame.point(u, side * (wide + 0.01), model.waist(u) + up * rise)
 
-    a = spot(back, share[0])
-    b = spot(front, share[0])
-    c = spot(front - 0.4, share[1])
-    d = spot(back, share[1])
+    a = corner(back, low)
+    b = corner(front, low)
+    c = corner(front - 0.4, high)
+    d = corner(back, high)
     pile.quad(a, b, c, d, Material.CAR_GLASS)
 
 
@@ -229,32 +232,29 @@ def lorry(pile: Pile, frame: Frame, length: float) -> None:
     """Add a small lorry: a cabin with a windscreen before a box on wheels."""
     half = 0.5 * length
     wide = 1.15
-    pile.box(
-        frame, ((-half, half - 1.9), (-wide - 0.05, wide + 0.05), (1.0, 3.3)), Material.CAR_BODY
-    )
-    pile.box(frame, ((-half + 0.3, half - 0.2), (-0.45, 0.45), (0.55, 1.0)), Material.CAR_BODY)
-    pile.box(frame, ((half - 1.75, half), (-wide, wide), (0.5, 1.45)), Material.CAR_BODY)
-    pile.box(
-        frame,
-        ((half - 1.75, half - 0.15), (-wide + 0.05, wide - 0.05), (1.45, 2.55)),
-        Material.CAR_BODY,
-    )
-    corners = (
+    load_v = (-wide - 0.05, wide + 0.05)
+    upper_cabin_u = (half - 1.75, half - 0.15)
+    upper_cabin_v = (-wide + 0.05, wide - 0.05)
+    pile.box(frame, (-half, half - 1.9), load_v, (1.0, 3.3), Material.CAR_BODY)
+    pile.box(frame, (-half + 0.3, half - 0.2), (-0.45, 0.45), (0.55, 1.0), Material.CAR_BODY)
+    pile.box(frame, (half - 1.75, half), (-wide, wide), (0.5, 1.45), Material.CAR_BODY)
+    pile.box(frame, upper_cabin_u, upper_cabin_v, (1.45, 2.55), Material.CAR_BODY)
+    windscreen = (
         (half - 0.02, -1.0, 1.5),
         (half - 0.02, 1.0, 1.5),
         (half - 0.13, 1.0, 2.4),
         (half - 0.13, -1.0, 2.4),
     )
-    pile.face(frame, corners, Material.CAR_GLASS)
+    pile.face(frame, windscreen, Material.CAR_GLASS)
     for side in (-1.0, 1.0):
         v = side * (wide - 0.04)
-        spots = (
+        side_window = (
             (half - 1.3, v, 1.5),
             (half - 0.35, v, 1.5),
             (half - 0.45, v, 2.3),
             (half - 1.3, v, 2.3),
         )
-        pile.face(frame, spots, Material.CAR_GLASS)
+        pile.face(frame, side_window, Material.CAR_GLASS)
         for axle in (-half + 1.4, half - 0.9):
             wheel = frame.point(axle, side * (wide - 0.16), 0.42)
             pile.ellipsoid(wheel, (0.42, 0.16, 0.42), frame.yaw, Material.TYRE)
@@ -266,25 +266,20 @@ def person(
     rng: np.random.Generator,
     stride: float,
 ) -> None:
-    """Add a person."""
+    """Add a person; ``stride`` from foot to foot [m]."""
     tall = rng.uniform(1.55, 1.9)
-    hip = 0.50 * tall
+    hip_w = 0.50 * tall
     for side in (-1.0, 1.0):
         foot = frame.point(0.5 * side * stride, 0.10 * side, 0.0)
-        pile.cone((foot, frame.point(0.0, 0.09 * side, hip)), (0.06, 0.09), Material.PERSON)
-        hand = frame.point(-0.4 * side * stride, 0.29 * side, hip - 0.05)
-        pile.cone(
-            (hand, frame.point(0.0, 0.21 * side, 0.81 * tall)), (0.04, 0.055), Material.PERSON
-        )
-    pile.ellipsoid(
-        frame.point(0.0, 0.0, 0.67 * tall), (0.14, 0.21, 0.20 * tall), frame.yaw, Material.PERSON
-    )
-    pile.ellipsoid(
-        frame.point(0.02, 0.0, 0.935 * tall),
-        (0.10, 0.085, 0.065 * tall),
-        frame.yaw,
-        Material.PERSON,
-    )
+        hip = frame.point(0.0, 0.09 * side, hip_w)
+        pile.cone(foot, hip, (0.06, 0.09), Material.PERSON)
+        hand = frame.point(-0.4 * side * stride, 0.29 * side, hip_w - 0.05)
+        shoulder = frame.point(0.0, 0.21 * side, 0.81 * tall)
+        pile.cone(hand, shoulder, (0.04, 0.055), Material.PERSON)
+    trunk = (0.14, 0.21, 0.20 * tall)
+    pile.ellipsoid(frame.point(0.0, 0.0, 0.67 * tall), trunk, frame.yaw, Material.PERSON)
+    head = (0.10, 0.085, 0.065 * tall)
+    pile.ellipsoid(frame.point(0.02, 0.0, 0.935 * tall), head, frame.yaw, Material.PERSON)
 
 
 TIME_STEP_S = 0.25
@@ -350,7 +345,7 @@ class Movers:
                 for number in range(first, last + 1)
                 if abs(self._place(stream, number) + shift - middle_s) < reach_m
             ]
-            parts += [self._bodies(stream, number, step) for number in near]
+            parts.extend(self._bodies(stream, number, step) for number in near)
         return parts
 
     def _rng(self, stream: Stream, number: int) -> np.random.Generator:
@@ -364,34 +359,22 @@ class Movers:
         rng = self._rng(stream, number)
         time_s = (step + 0.5) * stream.step_s
         s = (number + 0.8 * rng.random()) * stream.spacing + stream.speed * time_s
-        return _mover(self._ground, self._seed, stream, number, s, time_s, rng)
-
-
-def _mover(
-    ground: Ground,
-    seed: int,
-    stream: Stream,
-    number: int,
-    s: float,
-    time_s: float,
-    rng: np.random.Generator,
-) -> Bodies:
-    frame = frame_at(ground, s, stream.d, tilted=True)
-    velocity = stream.speed * np.cos(frame.yaw), stream.speed * np.sin(frame.yaw)
-    # bodies are given where they would have been at time 0
-    begin = replace(frame, x=frame.x - velocity[0] * time_s, y=frame.y - velocity[1] * time_s)
-    if stream.speed < 0:
-        begin = replace(begin, yaw=begin.yaw + np.pi, slope=-begin.slope, roll=-begin.roll)
-    pile = Pile(_FIRST_NUMBER + stream.index * _STREAM_NUMBERS + (number + 2.0**30) * _EACH)
-    pile.velocity = velocity
-    if stream.cars:
-        car(pile, begin, draw_model(rng))
-    else:
-        upright = Frame(
-            begin.x, begin.y, begin.z - _step_down(ground, seed, s, stream.d), begin.yaw
-        )
-        person(pile, upright, rng, rng.uniform(0.3, 0.7))
-    return pile.bodies()
+        frame = frame_at(self._ground, s, stream.d, tilted=True)
+        velocity = stream.speed * np.cos(frame.yaw), stream.speed * np.sin(frame.yaw)
+        # bodies are given where they would have been at time 0
+        x = frame.x - velocity[0] * time_s
+        y = frame.y - velocity[1] * time_s
+        begin = replace(frame, x=x, y=y)
+        if stream.speed < 0:
+            begin = replace(begin, yaw=begin.yaw + np.pi, slope=-begin.slope, roll=-begin.roll)
+        pile = Pile(_FIRST_NUMBER + stream.index * _STREAM_NUMBERS + (number + 2.0**30) * _EACH)
+        pile.velocity = velocity
+        if stream.cars:
+            car(pile, begin, draw_model(rng))
+        else:
+            z = begin.z - _step_down(self._ground, self._seed, s, stream.d)
+            person(pile, Frame(x, y, z, begin.yaw), rng, rng.uniform(0.3, 0.7))
+        return pile.bodies()
 
 
 def _step_down(
@@ -402,9 +385,7 @@ def _step_down(
 ) -> float:
     """Return how much lower a person is who crosses a side street [m]."""
     junction = junction_of(seed, int(np.floor(s / PIECE_M)))
-    crosses = (
-        junction is not None
-        and junction.on(1 if d > 0 else -1)
-        and abs(s - junction.s) < junction.half + 0.5
-    )
-    return ground.curb_m if crosses else 0.0
+    if junction is None or not junction.on(1 if d > 0 else -1):
+        return 0.0
+    is_crossing = abs(s - junction.s) < junction.half + 0.5
+    return ground.curb_m if is_crossing else 0.0

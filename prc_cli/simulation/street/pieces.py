@@ -85,9 +85,11 @@ def kerbsides(plan: Plan, params: StreetSceneParams, seed: int) -> tuple[Kerbsid
     sides = []
     for side in plan.sides:
         low, raised = kerbside_of(seed, plan.piece, side.side)
-        lowered = low < params.lowered_kerbs
-        verge = not lowered and raised < params.verges
-        sides.append(Kerbside(lowered, 0.05 + 0.04 * raised / params.verges if verge else 0.0))
+        is_lowered = low < params.lowered_kerbs
+        verge_m = 0.0
+        if not is_lowered and raised < params.verges:
+            verge_m = 0.05 + 0.04 * raised / params.verges
+        sides.append(Kerbside(is_lowered, verge_m))
     return sides[0], sides[1]
 
 
@@ -100,115 +102,115 @@ def build_kerbs(
 ) -> None:
     """Add everything of a piece but its ground and its houses."""
     for side, kerbside in zip(plan.sides, kerbsides(plan, params, seed), strict=True):
-        kerb = Kerb(
-            ground,
-            plan,
-            side,
-            pile,
-            params,
-            kerbside,
-            generator(seed, Purpose.VARIETY, plan.piece, side.side),
-        )
+        variety = generator(seed, Purpose.VARIETY, plan.piece, side.side)
+        kerb = Kerb(ground, plan, side, pile, params, kerbside, variety)
         if kerbside.lowered:
             kerb.taken.append((plan.start, plan.start + PIECE_M))
-        _parked(kerb, generator(seed, Purpose.PARKED, plan.piece, side.side))
-        _furniture(kerb, generator(seed, Purpose.FURNITURE, plan.piece, side.side))
-        _trees(kerb, generator(seed, Purpose.TREES, plan.piece, side.side))
-        rng = generator(seed, Purpose.GARDENS, plan.piece, side.side)
+        _park(kerb, generator(seed, Purpose.PARKED, plan.piece, side.side))
+        _furnish(kerb, generator(seed, Purpose.FURNITURE, plan.piece, side.side))
+        _plant_trees(kerb, generator(seed, Purpose.TREES, plan.piece, side.side))
+        garden_rng = generator(seed, Purpose.GARDENS, plan.piece, side.side)
         for lot in side.lots:
-            _garden(kerb, lot, rng)
-    _wires(pile, ground, plan, params, seed)
+            _make_garden(kerb, lot, garden_rng)
+    _hang_wires(pile, ground, plan, params, seed)
 
 
-def _parked(kerb: Kerb, rng: np.random.Generator) -> None:
-    """Cars along the curb: places of six metres, free at side streets, driveways and crossings."""
+def _park(kerb: Kerb, rng: np.random.Generator) -> None:
+    """Park cars in places of six metres, free at side streets, driveways and crossings."""
     side = kerb.side
-    start = kerb.plan.start
     closed = [(low - 0.3, high + 0.3) for low, high in side.dropped]
     if side.junction is not None:
         closed.append((side.junction.bend[0] - 2.0, side.junction.bend[1] + 2.0))
     share = kerb.params.parked * _PARKED[kerb.plan.character]
-    count = int(PIECE_M / 6.0)
+    n_places = int(PIECE_M / 6.0)
     after_lorry = False
-    for i in range(count):
-        low = start + 6.0 * i
+    for i in range(n_places):
+        low = kerb.plan.start + 6.0 * i
         model = movers.draw_model(rng, kerb.params.vans)
-        chance = rng.random(4)
-        turn = rng.random()
-        long = bool(chance[0] < 0.03 and i + 1 < count)
-        high = low + (12.0 if long else 6.0)
-        blocked = any(high > span[0] and low < span[1] for span in closed)
-        if after_lorry or blocked or chance[1] >= share:
+        lorry_chance, parked_chance, gap_chance, room_chance = rng.random(4).tolist()
+        turn_chance = rng.random()
+        is_lorry = lorry_chance < 0.03 and i + 1 < n_places
+        high = low + (12.0 if is_lorry else 6.0)
+        is_closed = any(high > span[0] and low < span[1] for span in closed)
+        if after_lorry or is_closed or parked_chance >= share:
             after_lorry = False
             continue
-        after_lorry = long
+        after_lorry = is_lorry
         # from the curb to the wheels; lorries are wide and stand close to it
-        gap, wide = (0.1 + 0.05 * chance[2], 1.2) if long else (0.2 + 0.2 * chance[2], model.wide)
-        d = side.side * (
-            ROAD_HALF_M + (float(gap) + wide) * (1.0 if kerb.kerbside.lowered else -1.0)
-        )
-        room = 0.5 if long else 2.75 - model.half
-        frame = frame_at(
-            kerb.ground, 0.5 * (low + high) + room * (2.0 * float(chance[3]) - 1.0), d, tilted=True
-        )
+        if is_lorry:
+            gap = 0.1 + 0.05 * gap_chance
+            half_width = 1.2
+            room = 0.5
+        else:
+            gap = 0.2 + 0.2 * gap_chance
+            half_width = model.wide
+            room = 2.75 - model.half
+        outward = 1.0 if kerb.kerbside.lowered else -1.0
+        d = side.side * (ROAD_HALF_M + (gap + half_width) * outward)
+        s = 0.5 * (low + high) + room * (2.0 * room_chance - 1.0)
+        frame = frame_at(kerb.ground, s, d, tilted=True)
         if kerb.kerbside.lowered:
-            # inner and outer wheels
-            near, far = (kerb.ground.ramp(abs(d) + side_m) for side_m in (0.12 - wide, wide - 0.12))
-            rise = WALK_SLOPE + (near - far) / (2.0 * (wide - 0.12))
-            frame = replace(frame, z=frame.z - 0.5 * (near + far), roll=side.side * rise)
+            inner_drop = kerb.ground.ramp(abs(d) + (0.12 - half_width))
+            outer_drop = kerb.ground.ramp(abs(d) + (half_width - 0.12))
+            rise = WALK_SLOPE + (inner_drop - outer_drop) / (2.0 * (half_width - 0.12))
+            z = frame.z - 0.5 * (inner_drop + outer_drop)
+            frame = replace(frame, z=z, roll=side.side * rise)
         # cars drive on the right; now and then one is parked against it
-        backwards = (side.side > 0) != (turn < 0.08)
-        if backwards:
+        is_backwards = (side.side > 0) != (turn_chance < 0.08)
+        if is_backwards:
             frame = replace(frame, yaw=frame.yaw + np.pi, slope=-frame.slope, roll=-frame.roll)
-        if long:
+        if is_lorry:
             movers.lorry(kerb.pile, frame, 7.5)
         else:
             movers.car(kerb.pile, frame, model)
 
 
-def _furniture(kerb: Kerb, rng: np.random.Generator) -> None:
-    """Lamps, lights and signs at junctions, shelters, bins and cabinets; people who stand about."""
+def _furnish(kerb: Kerb, rng: np.random.Generator) -> None:
+    """Add lamps, shelters, bins and cabinets, signs and lights, and people who stand about."""
     pile = kerb.pile
     plan = kerb.plan
     side = kerb.side
     start = kerb.plan.start
-    town = plan.character in ("terraces", "boulevard")
+    is_town = plan.character in ("terraces", "boulevard")
     if (plan.piece + (side.side > 0)) % 2 == 0:
-        free = [s for s in (start + 3.5, start + 26.0) if kerb.free(s, 0.6)]
-        if free and kerb.claim(free[0], 0.6):
-            furniture.lamp(pile, kerb.frame(free[0], ROAD_HALF_M + 0.6), 7.5 if town else 5.5)
-    _at_junction(kerb, rng, town=town)
-    chance = rng.random(6).tolist()
-    shelter = start + 5.0 + 20.0 * chance[1]
-    if chance[0] < 0.10 and kerb.claim(shelter, 2.6):
-        furniture.shelter(pile, kerb.frame(shelter, ROAD_HALF_M + 0.45))
-    for i, add in enumerate((furniture.sign, furniture.bin_or_box)):
-        s = start + 1.0 + 28.0 * chance[2 + i]
-        if chance[4 + i] < 0.55 and kerb.claim(s, 0.8):
-            add(pile, kerb.frame(s, ROAD_HALF_M + 0.5 + 0.3 * i), rng)
+        for s in (start + 3.5, start + 26.0):
+            if kerb.claim(s, 0.6):
+                furniture.lamp(pile, kerb.frame(s, ROAD_HALF_M + 0.6), 7.5 if is_town else 5.5)
+                break
+    _furnish_junction(kerb, rng, is_town=is_town)
+    chances = rng.random(6).tolist()
+    s = start + 5.0 + 20.0 * chances[1]
+    if chances[0] < 0.10 and kerb.claim(s, 2.6):
+        furniture.shelter(pile, kerb.frame(s, ROAD_HALF_M + 0.45))
+    s = start + 1.0 + 28.0 * chances[2]
+    if chances[4] < 0.55 and kerb.claim(s, 0.8):
+        furniture.sign(pile, kerb.frame(s, ROAD_HALF_M + 0.5), rng)
+    s = start + 1.0 + 28.0 * chances[3]
+    if chances[5] < 0.55 and kerb.claim(s, 0.8):
+        furniture.bin_or_box(pile, kerb.frame(s, ROAD_HALF_M + 0.5 + 0.3), rng)
     for _ in range(int(rng.poisson(0.8 * kerb.params.people))):
         s = start + PIECE_M * rng.random()
         yaw = rng.uniform(0.0, 2.0 * np.pi)
         if side.junction is None or not side.junction.bend[0] < s < side.junction.bend[1]:
-            movers.person(pile, replace(kerb.frame(s, BUILDING_LINE_M - 0.45), yaw=yaw), rng, 0.0)
+            frame = replace(kerb.frame(s, BUILDING_LINE_M - 0.45), yaw=yaw)
+            movers.person(pile, frame, rng, 0.0)
 
 
-def _at_junction(kerb: Kerb, rng: np.random.Generator, *, town: bool) -> None:
-    """Lights or signs before the junction, bollards beside the crossing."""
+def _furnish_junction(kerb: Kerb, rng: np.random.Generator, *, is_town: bool) -> None:
+    """Add lights or signs before the junction, bollards beside the crossing."""
     plan = kerb.plan
-    side = kerb.side
     if plan.junction is None or plan.crossing is None:
         return
-    s = plan.junction.bend[0] - 0.9 if side.side < 0 else plan.junction.bend[1] + 0.9
+    is_right = kerb.side.side < 0
+    s = plan.junction.bend[0] - 0.9 if is_right else plan.junction.bend[1] + 0.9
     if kerb.claim(s, 0.5):
         frame = kerb.frame(s, ROAD_HALF_M + 0.6)
-        facing = (
-            frame if side.side < 0 else replace(frame, yaw=frame.yaw + np.pi, mirror=-frame.mirror)
-        )
-        if town:
-            furniture.traffic_light(kerb.pile, facing, arm=plan.character == "boulevard")
+        if not is_right:  # it faces the other way
+            frame = replace(frame, yaw=frame.yaw + np.pi, mirror=-frame.mirror)
+        if is_town:
+            furniture.traffic_light(kerb.pile, frame, arm=plan.character == "boulevard")
         else:
-            furniture.sign(kerb.pile, facing, rng)
+            furniture.sign(kerb.pile, frame, rng)
     if rng.random() < 0.6:
         low, high = plan.crossing
         for s in (low - 1.9, low - 0.9, high + 0.9, high + 1.9):
@@ -216,140 +218,159 @@ def _at_junction(kerb: Kerb, rng: np.random.Generator, *, town: bool) -> None:
                 furniture.bollard(kerb.pile, kerb.frame(s, ROAD_HALF_M + 0.4))
 
 
-def _trees(kerb: Kerb, rng: np.random.Generator) -> None:
-    """Street trees in the strip at the curb, as wide as the facades behind them allow."""
-    share = min(kerb.params.trees * _TREES[kerb.plan.character], 0.97 * (kerb.params.trees > 0))
-    kind = trees.AVENUE if kerb.plan.character == "boulevard" else trees.STREET
+def _plant_trees(kerb: Kerb, rng: np.random.Generator) -> None:
+    """Add trees in the strip at the curb, as wide as the facades behind them allow."""
+    params = kerb.params
+    share = 0.0
+    if params.trees > 0:
+        share = min(params.trees * _TREES[kerb.plan.character], 0.97)
+    usual_kind = trees.AVENUE if kerb.plan.character == "boulevard" else trees.STREET
     for i in range(4):
         s = kerb.plan.start + 7.5 * (i + 0.5) + rng.uniform(-0.8, 0.8)
-        wanted = rng.random() < share
-        birch = rng.random() < 0.2
-        if not wanted or not kerb.claim(s, 0.6):
+        is_wanted = rng.random() < share
+        is_birch = rng.random() < 0.2
+        if not is_wanted or not kerb.claim(s, 0.6):
             continue
-        near = [
+        setback = 4.0
+        setbacks = [
             lot.setback
             for lot in kerb.side.lots
             if lot.span[0] - 2 < s < lot.span[1] + 2 and lot.kind != "yard"
         ]
-        room = BUILDING_LINE_M + min(near, default=4.0) - _STRIP_M - 0.25
-        wide = kerb.params.canopies > 0 and kerb.variety.random() < kerb.params.canopies
-        if wide:
-            species = trees.CANOPY
+        if setbacks:
+            setback = min(setbacks)
+        room = BUILDING_LINE_M + setback - _STRIP_M - 0.25
+        if params.canopies > 0 and kerb.variety.random() < params.canopies:
+            kind = trees.CANOPY
+            room = max(room, 3.5)
+        elif is_birch:
+            kind = trees.BIRCH
         else:
-            species = trees.BIRCH if birch else kind
-        trees.tree(
-            kerb.pile, kerb.frame(s, _STRIP_M), species, rng, max(room, 3.5) if wide else room
-        )
+            kind = usual_kind
+        trees.tree(kerb.pile, kerb.frame(s, _STRIP_M), kind, rng, room)
 
 
-def _garden(kerb: Kerb, lot: Lot, rng: np.random.Generator) -> None:
-    """Boundary, trees, bushes and the car of a garden or yard."""
+def _make_garden(kerb: Kerb, lot: Lot, rng: np.random.Generator) -> None:
+    """Add boundary, trees, bushes and the car of a garden or yard."""
     low, high = lot.span
     middle = 0.5 * (low + high)
-    yard = lot.kind == "yard"
-    if not yard and lot.setback < 1.5:
+    is_yard = lot.kind == "yard"
+    if not is_yard and lot.setback < 1.5:
         return
     gaps = [lot.driveway] if lot.driveway is not None else []
-    if lot.kind != "yard":
+    if not is_yard:
         gaps.append((middle - 2.0, middle - 0.8))
-    depth = 14.0 if yard else lot.setback
-    if kerb.params.side_on > 0 and depth > 3.4 and kerb.variety.random() < kerb.params.side_on:
-        _forecourt(kerb, lot, depth)
+    depth = 14.0 if is_yard else lot.setback
+    side_on = kerb.params.side_on
+    if side_on > 0 and depth > 3.4 and kerb.variety.random() < side_on:
+        _make_forecourt(kerb, lot, depth)
         return
-    furniture.boundary(
-        kerb.pile,
-        lambda s: kerb.frame(s, BUILDING_LINE_M),
-        (low + 0.05, high - 0.05),
-        gaps,
-        rng,
-        _boundary(kerb),
-    )
+
+    def place(s: float) -> Frame:
+        return kerb.frame(s, BUILDING_LINE_M)
+
+    span = (low + 0.05, high - 0.05)
+    furniture.boundary(kerb.pile, place, span, gaps, rng, _wanted_boundary(kerb))
     for share in (0.22, 0.55):
-        wanted = rng.random() < kerb.params.trees
-        away = rng.uniform(0.4, 0.6)
-        room = min(away * depth - 0.7, (1.0 - away) * depth - 0.4, 4.0)
-        s = low + share * (high - low) + (0.0 if yard else 0.5)
-        if wanted and room > 0.9 and not any(gap[0] - 0.6 < s < gap[1] + 0.6 for gap in gaps):
-            kind = trees.STREET if yard and rng.random() < 0.4 else trees.GARDEN
-            trees.tree(kerb.pile, kerb.frame(s, BUILDING_LINE_M + away * depth), kind, rng, room)
-        elif (
-            rng.random() < 0.6
-            and depth > 2.4
-            and not any(gap[0] - 1.0 < s < gap[1] + 1.0 for gap in gaps)
-        ):
-            radius = min(rng.uniform(0.4, 0.9), 0.4 * depth)
-            trees.bush(kerb.pile, kerb.frame(s, BUILDING_LINE_M + 0.55 * depth), radius, rng)
+        s = low + share * (high - low) + (0.0 if is_yard else 0.5)
+        _plant_in_garden(kerb, s, depth, gaps, rng, is_yard=is_yard)
     junction = kerb.side.junction
-    built_up = junction is not None and abs(junction.s - middle) < 24.0
-    if lot.kind == "house" and not built_up and rng.random() < kerb.params.trees:
-        trees.tree(
-            kerb.pile,
-            kerb.frame(low + 2.5, BUILDING_LINE_M + lot.setback + 17.0),
-            trees.STREET,
-            rng,
-        )
+    is_built_up = junction is not None and abs(junction.s - middle) < 24.0
+    if lot.kind == "house" and not is_built_up and rng.random() < kerb.params.trees:
+        behind_house = kerb.frame(low + 2.5, BUILDING_LINE_M + lot.setback + 17.0)
+        trees.tree(kerb.pile, behind_house, trees.STREET, rng)
     if lot.driveway is not None and rng.random() < 0.4:
-        model = movers.draw_model(rng)
-        s = 0.5 * sum(lot.driveway)
-        d = BUILDING_LINE_M + 0.8 + model.half + max(0.0, lot.setback - 2.0)
-        frame = frame_at(kerb.ground, s, kerb.side.side * d, tilted=True)
-        fall = float(kerb.ground.line.side_slope(np.array([s]), kerb.side.side)[0])
-        # the bonnet points into the garden: u away from the street, v along it
-        yaw = frame.yaw + kerb.side.side * 0.5 * np.pi
-        turned = replace(frame, yaw=yaw, slope=fall, roll=-kerb.side.side * frame.slope)
-        movers.car(kerb.pile, turned, model)
+        _park_on_driveway(kerb, lot, 0.5 * sum(lot.driveway), rng)
 
 
-def _boundary(kerb: Kerb) -> Literal["any", "hedge", "fence"]:
+def _plant_in_garden(
+    kerb: Kerb,
+    s: float,
+    depth: float,
+    gaps: list[Span],
+    rng: np.random.Generator,
+    *,
+    is_yard: bool,
+) -> None:
+    """Add a tree, a bush or nothing at a place of a garden, off its paths."""
+    tree_is_wanted = rng.random() < kerb.params.trees
+    away = rng.uniform(0.4, 0.6)
+    room = min(away * depth - 0.7, (1.0 - away) * depth - 0.4, 4.0)
+
+    def is_off_paths(reach: float) -> bool:
+        return not any(gap[0] - reach < s < gap[1] + reach for gap in gaps)
+
+    if tree_is_wanted and room > 0.9 and is_off_paths(0.6):
+        kind = trees.STREET if is_yard and rng.random() < 0.4 else trees.GARDEN
+        trees.tree(kerb.pile, kerb.frame(s, BUILDING_LINE_M + away * depth), kind, rng, room)
+    elif rng.random() < 0.6 and depth > 2.4 and is_off_paths(1.0):
+        radius = min(rng.uniform(0.4, 0.9), 0.4 * depth)
+        trees.bush(kerb.pile, kerb.frame(s, BUILDING_LINE_M + 0.55 * depth), radius, rng)
+
+
+def _park_on_driveway(kerb: Kerb, lot: Lot, s: float, rng: np.random.Generator) -> None:
+    model = movers.draw_model(rng)
+    side = kerb.side.side
+    d = BUILDING_LINE_M + 0.8 + model.half + max(0.0, lot.setback - 2.0)
+    frame = frame_at(kerb.ground, s, side * d, tilted=True)
+    fall = float(kerb.ground.line.side_slope(np.array([s]), side)[0])
+    # the bonnet points into the garden: u away from the street, v along it
+    yaw = frame.yaw + side * 0.5 * np.pi
+    movers.car(kerb.pile, replace(frame, yaw=yaw, slope=fall, roll=-side * frame.slope), model)
+
+
+def _wanted_boundary(kerb: Kerb) -> Literal["any", "hedge", "fence"]:
     if kerb.params.fences == 0 and kerb.params.hedges == 0:
         return "any"
-    fence, hedge = kerb.variety.random(2).tolist()
-    if fence < kerb.params.fences:
+    fence_chance, hedge_chance = kerb.variety.random(2).tolist()
+    if fence_chance < kerb.params.fences:
         return "fence"
-    return "hedge" if hedge < kerb.params.hedges else "any"
+    if hedge_chance < kerb.params.hedges:
+        return "hedge"
+    return "any"
 
 
-def _forecourt(kerb: Kerb, lot: Lot, depth: float) -> None:
+def _make_forecourt(kerb: Kerb, lot: Lot, depth: float) -> None:
     """Park cars in front of a house or on a yard, open to the street and along it."""
     low, high = lot.span
+    side = kerb.side.side
     away = BUILDING_LINE_M + 1.3 + float(kerb.variety.random()) * (min(depth, 9.0) - 2.6)
     for i in range(int((high - low) / 6.0)):
         model = movers.draw_model(kerb.variety, kerb.params.vans)
-        u = kerb.variety.random(2).tolist()
-        if u[0] > 0.8:
+        empty_chance, shift = kerb.variety.random(2).tolist()
+        if empty_chance > 0.8:
             continue
-        s = low + 6.0 * i + 3.0 + 0.3 * u[1]
-        frame = frame_at(kerb.ground, s, kerb.side.side * away, tilted=True)
-        roll = float(kerb.ground.line.side_slope(np.array([s]), kerb.side.side)[0])
-        movers.car(kerb.pile, replace(frame, roll=kerb.side.side * roll), model)
+        s = low + 6.0 * i + 3.0 + 0.3 * shift
+        frame = frame_at(kerb.ground, s, side * away, tilted=True)
+        slope = float(kerb.ground.line.side_slope(np.array([s]), side)[0])
+        movers.car(kerb.pile, replace(frame, roll=side * slope), model)
 
 
-def _wires(
+def _hang_wires(
     pile: Pile,
     ground: Ground,
     plan: Plan,
     params: StreetSceneParams,
     seed: int,
 ) -> None:
-    """Overhead wires of some blocks without tall houses."""
+    """Add the overhead wires of some blocks without tall houses."""
     side = _wired(seed, plan.piece, params.character)
     if not side:
         return
-    last = plan.piece % PIECES_IN_BLOCK == PIECES_IN_BLOCK - 1
-    ends = [
-        frame_at(ground, s, side * (ROAD_HALF_M + 1.05), side)
-        for s in (plan.start, plan.start + PIECE_M)
-    ]
-    furniture.pole(pile, ends[0])
-    furniture.wires(pile, ends[0], ends[1])
-    if last and _wired(seed, plan.piece + 1, params.character) != side:
-        furniture.pole(pile, ends[1])
+    d = side * (ROAD_HALF_M + 1.05)
+    start = frame_at(ground, plan.start, d, side)
+    end = frame_at(ground, plan.start + PIECE_M, d, side)
+    furniture.pole(pile, start)
+    furniture.wires(pile, start, end)
+    is_last = plan.piece % PIECES_IN_BLOCK == PIECES_IN_BLOCK - 1
+    if is_last and _wired(seed, plan.piece + 1, params.character) != side:
+        furniture.pole(pile, end)
 
 
 def _wired(seed: int, piece: int, choice: str) -> int:
-    """Side of the street on which poles stand, 0 = none."""
+    """Return the side of the street with poles, 0 = none."""
     rng = generator(seed, Purpose.WIRES, piece // PIECES_IN_BLOCK)
-    chance = rng.random()
+    is_wired = rng.random() < 0.6
     side = 1 if rng.random() < 0.5 else -1
-    fitting = character_of(seed, piece, choice) in ("residential", "suburb")
-    return side if fitting and chance < 0.6 else 0
+    has_low_houses = character_of(seed, piece, choice) in ("residential", "suburb")
+    return side if has_low_houses and is_wired else 0

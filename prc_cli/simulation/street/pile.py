@@ -93,9 +93,9 @@ class Pile:
         a, b, c, d = (frame.point(*corner) for corner in corners)
         self.quad(a, b, c, d, material)
 
-    def cone(self, ends: tuple[Point, Point], radii: Span, material: Material) -> None:
-        """Add a pole, trunk or branch."""
-        self._add(Shape.CONE, (*ends[0], *ends[1], *radii, 0.0), material, 0.0)
+    def cone(self, start: Point, end: Point, radii: Span, material: Material) -> None:
+        """Add a pole, trunk or branch with the radii of its two ends."""
+        self._add(Shape.CONE, (*start, *end, *radii, 0.0), material, 0.0)
 
     def ellipsoid(
         self,
@@ -111,14 +111,15 @@ class Pile:
     def box(
         self,
         frame: Frame,
-        spans: tuple[Span, Span, Span],
+        u: Span,
+        v: Span,
+        w: Span,
         material: Material,
         density: float = 0.0,
     ) -> None:
         """Add a level box by its spans (from, to) along the axes; slopes lift it as one."""
-        (u0, u1), (v0, v1), (w0, w1) = spans
-        centre = frame.point((u0 + u1) / 2, (v0 + v1) / 2, (w0 + w1) / 2)
-        half = ((u1 - u0) / 2, (v1 - v0) / 2, (w1 - w0) / 2)
+        centre = frame.point((u[0] + u[1]) / 2, (v[0] + v[1]) / 2, (w[0] + w[1]) / 2)
+        half = ((u[1] - u[0]) / 2, (v[1] - v[0]) / 2, (w[1] - w[0]) / 2)
         self._add(Shape.BOX, (*centre, *half, frame.yaw, 0.0, 0.0), material, density)
 
     def bodies(self) -> Bodies:
@@ -136,20 +137,22 @@ class Pile:
 
 def outlines(bodies: Bodies) -> F64:
     """Return the bounds of bodies in plan, (n, 4) float64: least x, y, greatest x, y [m]."""
-    numbers = bodies.numbers
+    is_triangle = bodies.shape == Shape.TRIANGLE
+    is_cone = bodies.shape == Shape.CONE
+    is_round = ~is_triangle & ~is_cone
+    triangles = bodies.numbers[is_triangle]
+    cones = bodies.numbers[is_cone]
+    rounds = bodies.numbers[is_round]
+    cone_reach = cones[:, 6:8].max(axis=1)
+    round_reach = np.hypot(rounds[:, 3], rounds[:, 4])
     bounds = np.empty((len(bodies), 4))
-    triangle = bodies.shape == Shape.TRIANGLE
-    cone = bodies.shape == Shape.CONE
     for axis in (0, 1):
-        corners = numbers[triangle][:, [axis, axis + 3, axis + 6]]
-        bounds[triangle, axis] = corners.min(axis=1)
-        bounds[triangle, axis + 2] = corners.max(axis=1)
-        ends = numbers[cone][:, [axis, axis + 3]]
-        reach = numbers[cone][:, 6:8].max(axis=1)
-        bounds[cone, axis] = ends.min(axis=1) - reach
-        bounds[cone, axis + 2] = ends.max(axis=1) + reach
-        other_shape = ~triangle & ~cone
-        around = np.hypot(numbers[other_shape, 3], numbers[other_shape, 4])
-        bounds[other_shape, axis] = numbers[other_shape, axis] - around
-        bounds[other_shape, axis + 2] = numbers[other_shape, axis] + around
+        corners = triangles[:, [axis, axis + 3, axis + 6]]
+        bounds[is_triangle, axis] = corners.min(axis=1)
+        bounds[is_triangle, axis + 2] = corners.max(axis=1)
+        ends = cones[:, [axis, axis + 3]]
+        bounds[is_cone, axis] = ends.min(axis=1) - cone_reach
+        bounds[is_cone, axis + 2] = ends.max(axis=1) + cone_reach
+        bounds[is_round, axis] = rounds[:, axis] - round_reach
+        bounds[is_round, axis + 2] = rounds[:, axis] + round_reach
     return bounds

@@ -8,7 +8,8 @@ of 5 m, so that corners that stand on a line between stations leave no cracks.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -56,12 +57,12 @@ class Centreline:
         self._sides = {side: _waves(rng, _SIDE_SLOPES, hills) for side in (1, -1)}
         self._turn_0 = float(_sum(self._turns, np.zeros(1))[0])
         self._hill_0 = float(_sum(self._hills, np.zeros(1))[0])
+        # places at every step, by Gauss quadrature with four places within it
         node = np.arange(int(PERIOD_M / _STEP_M) + 1) * _STEP_M
         places, weights = np.polynomial.legendre.leggauss(4)
-        between = self.heading(node[:-1, None] + 0.5 * _STEP_M * (places + 1.0))
-        steps = (
-            0.5 * _STEP_M * np.stack([np.cos(between) @ weights, np.sin(between) @ weights], axis=1)
-        )
+        heading = self.heading(node[:-1, None] + 0.5 * _STEP_M * (places + 1.0))
+        sums = np.stack([np.cos(heading) @ weights, np.sin(heading) @ weights], axis=1)
+        steps = 0.5 * _STEP_M * sums
         self._table: F64 = np.vstack([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
     def heading(self, s_m: F64) -> F64:
@@ -78,58 +79,61 @@ class Centreline:
 
     def lane(self, s_m: F64) -> F64:
         """Return the middle of the lane in plan at distances (n,), (n, 2) float64 [m]."""
-        turns = np.floor(s_m / PERIOD_M)
-        within = s_m - turns * PERIOD_M
+        periods = np.floor(s_m / PERIOD_M)
+        within = s_m - periods * PERIOD_M
         i = np.minimum((within / _STEP_M).astype(np.int64), len(self._table) - 2)
         f = (within / _STEP_M - i)[:, None]
-        ends = self.heading(i * _STEP_M), self.heading((i + 1) * _STEP_M)
-        t0, t1 = (_STEP_M * np.stack([np.cos(end), np.sin(end)], axis=1) for end in ends)
-        p0 = self._table[i]
-        p1 = self._table[i + 1]
+        start = self._table[i]
+        end = self._table[i + 1]
+        start_heading = self.heading(i * _STEP_M)
+        end_heading = self.heading((i + 1) * _STEP_M)
+        start_tangent = _STEP_M * np.stack([np.cos(start_heading), np.sin(start_heading)], axis=1)
+        end_tangent = _STEP_M * np.stack([np.cos(end_heading), np.sin(end_heading)], axis=1)
         # cubic of Hermite
         inside = (
-            (1 + 2 * f) * (1 - f) ** 2 * p0
-            + f * (1 - f) ** 2 * t0
-            + f**2 * (3 - 2 * f) * p1
-            - f**2 * (1 - f) * t1
+            (1 + 2 * f) * (1 - f) ** 2 * start
+            + f * (1 - f) ** 2 * start_tangent
+            + f**2 * (3 - 2 * f) * end
+            - f**2 * (1 - f) * end_tangent
         )
-        place: F64 = inside + turns[:, None] * self._table[-1]
+        place: F64 = inside + periods[:, None] * self._table[-1]
         return place
 
     def place(self, s_m: F64, d_m: F64) -> F64:
         """Points ``d_m`` to the left of the crown, (n, 2) float64 [m]."""
         heading = self.heading(s_m)
-        away = (d_m - LANE_M)[:, None]
-        place: F64 = self.lane(s_m) + away * np.stack([-np.sin(heading), np.cos(heading)], axis=1)
+        left = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
+        place: F64 = self.lane(s_m) + (d_m - LANE_M)[:, None] * left
         return place
 
     def nearest(self, x_m: float, y_m: float) -> float:
         """Distance along the street of the place that is nearest to a point, to a metre [m]."""
         shift = self._table[-1]
-        first = np.floor((x_m * shift[0] + y_m * shift[1]) / (shift @ shift))
-        best = np.inf
-        result = 0.0
-        for turn in (first - 1.0, first, first + 1.0):
-            gap = self._table + turn * shift - (x_m, y_m)
-            way = np.einsum("ij,ij->i", gap, gap)
-            i = int(np.argmin(way))
-            if way[i] < best:
-                best = float(way[i])
-                result = float(turn * PERIOD_M + i * _STEP_M)
-        return result
+        period = np.floor((x_m * shift[0] + y_m * shift[1]) / (shift @ shift))
+        least = np.inf
+        nearest_s = 0.0
+        for turn in (period - 1.0, period, period + 1.0):
+            offset = self._table + turn * shift - (x_m, y_m)
+            squared = np.einsum("ij,ij->i", offset, offset)
+            i = int(np.argmin(squared))
+            if squared[i] < least:
+                least = float(squared[i])
+                nearest_s = float(turn * PERIOD_M + i * _STEP_M)
+        return nearest_s
 
 
-def _waves(rng: np.random.Generator, sizes: tuple[tuple[int, float], ...], factor: float) -> F64:
+def _waves(rng: np.random.Generator, sizes: Sequence[tuple[int, float]], factor: float) -> F64:
     """Wave number [1/m], amplitude and phase [rad] of every sine, (n, 3)."""
-    rows = [
-        (2 * np.pi * count / PERIOD_M, factor * size, rng.uniform(0, 2 * np.pi))
-        for count, size in sizes
-    ]
+    rows = []
+    for n_periods, amplitude in sizes:
+        wave_number = 2 * np.pi * n_periods / PERIOD_M
+        rows.append((wave_number, factor * amplitude, rng.uniform(0, 2 * np.pi)))
     return np.array(rows)
 
 
 def _sum(waves: F64, s_m: F64) -> F64:
-    total: F64 = (waves[:, 1] * np.sin(waves[:, 0] * s_m[..., None] + waves[:, 2])).sum(axis=-1)
+    wave_number, amplitude, phase = waves.T
+    total: F64 = (amplitude * np.sin(wave_number * s_m[..., None] + phase)).sum(axis=-1)
     return total
 
 
@@ -174,10 +178,9 @@ class Ground:
         slope = np.where(d_m > 0, self.line.side_slope(s_m, 1), self.line.side_slope(s_m, -1))
         fall = -_CROSS_FALL * np.minimum(away, ROAD_HALF_M)
         walk = WALK_SLOPE * np.clip(away - ROAD_HALF_M, 0.0, BUILDING_LINE_M - ROAD_HALF_M)
-        result: F64 = (
-            self.line.height(s_m) + fall + walk + slope * np.maximum(away - BUILDING_LINE_M, 0.0)
-        )
-        return result
+        land = slope * np.maximum(away - BUILDING_LINE_M, 0.0)
+        height: F64 = self.line.height(s_m) + fall + walk + land
+        return height
 
     def height(self, s_m: float, d_m: float) -> float:
         """Return the height of the ground, without side streets and dropped curbs [m]."""
@@ -188,36 +191,39 @@ class Ground:
         """Return the drop of the ground behind a lowered curb, by distance from the crown [m]."""
         return (self.curb_m - _LOW_CURB_M) * max(1.0 - (away_m - ROAD_HALF_M) / _RAMP_M, 0.0)
 
-    def spot(
-        self, s: float, d: float, *, tilted: bool
-    ) -> tuple[float, float, float, float, float, float]:
-        """Return place and height [m], heading [rad], slopes along and left, 0 if not tilted."""
+    def spot(self, s: float, d: float, *, tilted: bool) -> Frame:
+        """Return a frame on the ground with u along the street; level unless ``tilted``."""
         places = np.array([s, s - 1.0, s + 1.0])
-        heading = self.line.heading(places)
-        (x, y), *_ = self.line.place(places, np.full(3, d)).tolist()
-        z = self.road(places, np.full(3, d)).tolist()
-        up = self.curb_m if abs(d) > ROAD_HALF_M else 0.0
+        across = np.full(3, d)
+        x, y = self.line.place(places, across)[0].tolist()
+        yaw = float(self.line.heading(places)[0])
+        z, z_before, z_after = self.road(places, across).tolist()
+        is_on_road = abs(d) < ROAD_HALF_M
+        if abs(d) > ROAD_HALF_M:
+            z += self.curb_m
         if not tilted:
-            return x, y, z[0] + up, float(heading[0]), 0.0, 0.0
-        roll = -float(np.sign(d)) * _CROSS_FALL if abs(d) < ROAD_HALF_M else 0.0
-        return x, y, z[0] + up, float(heading[0]), 0.5 * (z[2] - z[1]), roll
+            return Frame(x, y, z, yaw)
+        roll = -float(np.sign(d)) * _CROSS_FALL if is_on_road else 0.0
+        return Frame(x, y, z, yaw, slope=0.5 * (z_after - z_before), roll=roll)
 
     def lay(
         self, pile: Pile, plan: Plan, kerbsides: tuple[Kerbside, Kerbside] = (PLAIN, PLAIN)
     ) -> None:
         """Add the ground of a piece; its sides have the kerbs and verges of ``kerbsides``."""
         mesh = _Mesh(self, plan.start, pile)
-        base = mesh.s.tolist()
+        stations = mesh.s.tolist()
+        has_verge = plan.character in ("suburb", "boulevard")
         for side, kerbside in zip(plan.sides, kerbsides, strict=True):
-            for s0, s1 in itertools.pairwise(base):
-                mesh.strip((s0, s1), (0.0, side.side * ROAD_HALF_M), 0.0, Material.ASPHALT)
-            verge = plan.character in ("suburb", "boulevard")
-            for low, high in _stretches(side, base):
-                curb_m = _LOW_CURB_M if kerbside.lowered else self.curb_m
-                mesh.kerbside(_stops(side, base, (low, high), curb_m), side, verge=verge)
+            road = (0.0, side.side * ROAD_HALF_M)
+            for along in itertools.pairwise(stations):
+                mesh.strip(along, road, 0.0, Material.ASPHALT)
+            curb_m = _LOW_CURB_M if kerbside.lowered else self.curb_m
+            for stretch in _stretches(side, stations):
+                mesh.kerbside(_stops(side, stations, stretch, curb_m), side, verge=has_verge)
                 if kerbside.verge_m > 0:
-                    mesh.raised_verge(_verges(side, base, (low, high)), side, kerbside.verge_m)
-            self._land(mesh, side, base, plan)
+                    verges = _verges(side, stations, stretch)
+                    mesh.raised_verge(verges, side, kerbside.verge_m)
+            self._land(mesh, side, stations, plan)
             if side.junction is not None:
                 _side_street(mesh, side.junction, side.side, self.curb_m)
 
@@ -225,31 +231,36 @@ class Ground:
         self,
         mesh: _Mesh,
         side: Side,
-        base: list[float],
+        stations: list[float],
         plan: Plan,
     ) -> None:
-        ways = [lot.driveway for lot in side.lots if lot.driveway is not None]
+        """Add front gardens and the land behind them, paved at driveways and corners."""
+        driveways = [lot.driveway for lot in side.lots if lot.driveway is not None]
         junction = side.junction
-        top = self.curb_m
-        more = [s for way in ways for s in way]
+        borders = set(stations)
+        for driveway in driveways:
+            borders.update(driveway)
         if junction is not None:
-            more += [*junction.open, *_edges(junction)]
-        every = [s for s in sorted({*base, *more}) if base[0] <= s <= base[-1]]
-        soil = plan.character == "terraces" or (
+            borders.update(junction.open)
+            borders.update(_edges(junction))
+        places = sorted(s for s in borders if stations[0] <= s <= stations[-1])
+        has_soil = plan.character == "terraces" or (
             plan.piece % 3 == 1 and plan.character == "residential"
         )
-        land = Material.SOIL if soil else Material.GRASS
-        for s0, s1 in itertools.pairwise(every):
-            middle = 0.5 * (s0 + s1)
-            paved = land
+        front = (side.side * BUILDING_LINE_M, side.side * _FRONT_M)
+        behind = (side.side * _FRONT_M, side.side * FAR_M)
+        for along in itertools.pairwise(places):
+            middle = 0.5 * (along[0] + along[1])
+            material = Material.SOIL if has_soil else Material.GRASS
             if junction is not None and junction.open[0] < middle < junction.open[1]:
-                if _edges(junction)[0] < middle < _edges(junction)[1]:
+                street_low, street_high = _edges(junction)
+                if street_low < middle < street_high:
                     continue
-                paved = Material.SIDEWALK
-            drive = any(low < middle < high for low, high in ways)
-            front = Material.SIDEWALK if drive else paved
-            mesh.strip((s0, s1), (side.side * BUILDING_LINE_M, side.side * _FRONT_M), top, front)
-            mesh.strip((s0, s1), (side.side * _FRONT_M, side.side * FAR_M), top, paved)
+                material = Material.SIDEWALK
+            is_driveway = any(low < middle < high for low, high in driveways)
+            front_material = Material.SIDEWALK if is_driveway else material
+            mesh.strip(along, front, self.curb_m, front_material)
+            mesh.strip(along, behind, self.curb_m, material)
 
 
 class _CurbStop(NamedTuple):
@@ -288,15 +299,16 @@ class _Mesh:
         """Corner at a height above the (continued) road [m]."""
         i = min(max(int((s - self.start) // STATION_M), 0), len(self._rows) - 2)
         f = (s - self.start) / STATION_M - i
-        x, y, left, ahead, z, *slopes = (
+        x, y, left_x, left_y, z, left_slope, right_slope = (
             (1 - f) * before + f * after
             for before, after in zip(self._rows[i], self._rows[i + 1], strict=True)
         )
         away = abs(d)
         fall = WALK_SLOPE * min(max(away - ROAD_HALF_M, 0.0), BUILDING_LINE_M - ROAD_HALF_M)
         fall -= _CROSS_FALL * min(away, ROAD_HALF_M)
-        beyond = max(away - BUILDING_LINE_M, 0.0) * slopes[0 if d > 0 else 1]
-        return x + d * left, y + d * ahead, z + fall + beyond + up
+        slope = left_slope if d > 0 else right_slope
+        land = max(away - BUILDING_LINE_M, 0.0) * slope
+        return x + d * left_x, y + d * left_y, z + fall + land + up
 
     def strip(
         self,
@@ -306,84 +318,81 @@ class _Mesh:
         material: Material,
     ) -> None:
         """Add a strip at a height above the road."""
-        (s0, s1) = along
-        (d0, d1) = across
-        corners = (
-            self.point(s0, d0, up),
-            self.point(s1, d0, up),
-            self.point(s1, d1, up),
-            self.point(s0, d1, up),
-        )
-        self.pile.quad(*corners, material)
+        s0, s1 = along
+        d0, d1 = across
+        a = self.point(s0, d0, up)
+        b = self.point(s1, d0, up)
+        c = self.point(s1, d1, up)
+        d = self.point(s0, d1, up)
+        self.pile.quad(a, b, c, d, material)
 
     def kerbside(self, stops: list[_CurbStop], side: Side, *, verge: bool) -> None:
         """Add gutter corners, curb, verge and sidewalk along the stops of a curb."""
         top = self.ground.curb_m
         gutter = side.side * ROAD_HALF_M
         back = side.side * BUILDING_LINE_M
+        walk_m = BUILDING_LINE_M - ROAD_HALF_M
         lines = []
-        for s_foot, d_foot, s_top, d_top, curb in stops:
-            inner = d_top + (BUILDING_LINE_M - d_top) * _RAMP_M / (BUILDING_LINE_M - ROAD_HALF_M)
+        for stop in stops:
+            inner = stop.d_top + (BUILDING_LINE_M - stop.d_top) * _RAMP_M / walk_m
             lines.append(
                 (
-                    self.point(s_foot, gutter, 0.0),
-                    self.point(s_foot, side.side * d_foot, 0.0),
-                    self.point(s_top, side.side * d_top, curb),
-                    self.point(s_top, side.side * inner, top),
-                    self.point(s_top, back, top),
+                    self.point(stop.s_foot, gutter, 0.0),
+                    self.point(stop.s_foot, side.side * stop.d_foot, 0.0),
+                    self.point(stop.s_top, side.side * stop.d_top, stop.height_m),
+                    self.point(stop.s_top, side.side * inner, top),
+                    self.point(stop.s_top, back, top),
                 )
             )
         for i in range(len(stops) - 1):
-            a = lines[i]
-            b = lines[i + 1]
             is_straight = max(stops[i].d_foot, stops[i + 1].d_foot) <= ROAD_HALF_M
             is_high = min(stops[i].height_m, stops[i + 1].height_m) >= top - 1e-9
-            green = verge and is_high and is_straight
-            materials = (
-                Material.ASPHALT,
-                Material.CURB,
-                Material.GRASS if green else Material.SIDEWALK,
-                Material.SIDEWALK,
-            )
-            for j, material in enumerate(materials):
-                if j == 0 and is_straight:
-                    continue
-                self.pile.quad(a[j], b[j], b[j + 1], a[j + 1], material)
+            is_green = verge and is_high and is_straight
+            materials = [Material.ASPHALT, Material.CURB, Material.SIDEWALK, Material.SIDEWALK]
+            if is_green:
+                materials[2] = Material.GRASS
+            a = lines[i]
+            b = lines[i + 1]
+            # a straight curb has no corner of the gutter before it
+            for j in range(1 if is_straight else 0, len(materials)):
+                self.pile.quad(a[j], b[j], b[j + 1], a[j + 1], materials[j])
 
     def raised_verge(self, stretches: list[Span], side: Side, height_m: float) -> None:
         """Add a verge over the strip at the curb, between edging stones on all sides."""
-        top = self.ground.curb_m + height_m
-        d0, d1 = (side.side * d for d in (ROAD_HALF_M + 2 * _BATTER_M, ROAD_HALF_M + _RAMP_M))
+        foot = self.ground.curb_m
+        top = foot + height_m
+        front = side.side * (ROAD_HALF_M + 2 * _BATTER_M)
+        back = side.side * (ROAD_HALF_M + _RAMP_M)
         for low, high in stretches:
             places = [low, *(s for s in self.s.tolist() if low < s < high), high]
-            for s0, s1 in itertools.pairwise(places):
-                self.strip((s0, s1), (d0, d1), top, Material.GRASS)
-            corners = [(s, d0) for s in places] + [(s, d1) for s in reversed(places)]
-            for (s0, from_d), (s1, to_d) in zip(corners, corners[1:] + corners[:1], strict=True):
-                a = self.point(s0, from_d, self.ground.curb_m)
-                b = self.point(s1, to_d, self.ground.curb_m)
-                c = self.point(s1, to_d, top)
-                d = self.point(s0, from_d, top)
+            for along in itertools.pairwise(places):
+                self.strip(along, (front, back), top, Material.GRASS)
+            # around the verge: along its front, back along its other side
+            corners = [(s, front) for s in places] + [(s, back) for s in reversed(places)]
+            for (s0, d0), (s1, d1) in itertools.pairwise([*corners, corners[0]]):
+                a = self.point(s0, d0, foot)
+                b = self.point(s1, d1, foot)
+                c = self.point(s1, d1, top)
+                d = self.point(s0, d0, top)
                 self.pile.quad(a, b, c, d, Material.CURB)
 
 
-def _verges(side: Side, base: list[float], stretch: Span) -> list[Span]:
-    # low curbs and the bends of side streets have no verge
+def _verges(side: Side, stations: list[float], stretch: Span) -> list[Span]:
+    """Return where verges are along a stretch: not at low curbs and bends of side streets."""
     low, high = stretch
     if side.junction is not None:
-        low, high = (
-            (low, side.junction.bend[0])
-            if high < side.junction.s
-            else (side.junction.bend[1], high)
-        )
-    low = max(low, base[0])
-    high = min(high, base[-1])
+        if high < side.junction.s:
+            high = side.junction.bend[0]
+        else:
+            low = side.junction.bend[1]
+    low = max(low, stations[0])
+    high = min(high, stations[-1])
     verges = []
-    for d0, d1 in [*side.dropped, (high + DROP_M, high)]:
-        end = min(d0 - DROP_M, high)
+    for dropped_low, dropped_high in [*side.dropped, (high + DROP_M, high)]:
+        end = min(dropped_low - DROP_M, high)
         if end - low > 1.0:
             verges.append((low, end))
-        low = max(low, d1 + DROP_M)
+        low = max(low, dropped_high + DROP_M)
     return verges
 
 
@@ -391,53 +400,40 @@ def _edges(junction: Junction) -> Span:
     return junction.s - junction.half - _BATTER_M, junction.s + junction.half + _BATTER_M
 
 
-def _stretches(side: Side, base: list[float]) -> list[Span]:
+def _stretches(side: Side, stations: list[float]) -> list[Span]:
+    """Return the curbs of a side: one, or one before and one behind its junction."""
+    first = stations[0]
+    last = stations[-1]
     if side.junction is None:
-        return [(base[0], base[-1])]
-    return [
-        (base[0], side.junction.s - side.junction.half),
-        (side.junction.s + side.junction.half, base[-1]),
-    ]
+        return [(first, last)]
+    before = side.junction.s - side.junction.half
+    behind = side.junction.s + side.junction.half
+    return [(first, before), (behind, last)]
 
 
 def _stops(
     side: Side,
-    base: list[float],
+    stations: list[float],
     stretch: Span,
     curb_m: float,
 ) -> list[_CurbStop]:
+    """Return the places along a curb: straight ones, and a quarter circle at a junction."""
     low, high = stretch
-    straight_low = low
-    straight_high = high
-    arc: list[_CurbStop] = []
     junction = side.junction
+    is_before = junction is not None and high < junction.s
+    arc: list[_CurbStop] = []
     if junction is not None:
-        end = -1 if high < junction.s else 1
-        middle = junction.bend[0] if end < 0 else junction.bend[1]
-        straight_low, straight_high = (low, middle) if end < 0 else (middle, high)
-        for a in np.linspace(0.0, 0.5 * np.pi, 5).tolist():
-            foot = CORNER_M
-            top = CORNER_M - _BATTER_M
-            into = float(np.sin(a))
-            out = float(np.cos(a))
-            centre = ROAD_HALF_M + CORNER_M
-            arc.append(
-                _CurbStop(
-                    s_foot=middle - end * foot * into,
-                    d_foot=centre - foot * out,
-                    s_top=middle - end * top * into,
-                    d_top=centre - top * out,
-                    height_m=curb_m,
-                )
-            )
-        arc = arc if end < 0 else arc[::-1]
-    knots = []
-    heights = []
-    for d0, d1 in side.dropped:
-        knots += [d0 - DROP_M, d0, d1, d1 + DROP_M]
+        arc = _arc(junction, curb_m, is_before=is_before)
+        if is_before:
+            high = junction.bend[0]
+        else:
+            low = junction.bend[1]
+    knots: list[float] = []
+    heights: list[float] = []
+    for dropped_low, dropped_high in side.dropped:
+        knots += [dropped_low - DROP_M, dropped_low, dropped_high, dropped_high + DROP_M]
         heights += [curb_m, _LOW_CURB_M, _LOW_CURB_M, curb_m]
-    every = {*base, *knots, straight_low, straight_high}
-    places = sorted(s for s in every if straight_low <= s <= straight_high)
+    places = sorted(s for s in {*stations, *knots, low, high} if low <= s <= high)
     curbs = np.interp(places, knots, heights).tolist() if knots else [curb_m] * len(places)
     straight = [
         _CurbStop(s, ROAD_HALF_M, s, ROAD_HALF_M + _BATTER_M, height_m)
@@ -445,7 +441,30 @@ def _stops(
     ]
     if not arc:
         return straight
-    return straight[:-1] + arc if high < (junction.s if junction else 0.0) else arc + straight[1:]
+    return straight[:-1] + arc if is_before else arc + straight[1:]
+
+
+def _arc(junction: Junction, curb_m: float, *, is_before: bool) -> list[_CurbStop]:
+    """Return the quarter circle of a curb into a side street, in the order of the main street."""
+    end = -1 if is_before else 1
+    middle = junction.bend[0] if is_before else junction.bend[1]
+    centre = ROAD_HALF_M + CORNER_M
+    foot = CORNER_M
+    top = CORNER_M - _BATTER_M
+    stops = []
+    for angle in np.linspace(0.0, 0.5 * np.pi, 5).tolist():
+        along = float(np.sin(angle))
+        out = float(np.cos(angle))
+        stops.append(
+            _CurbStop(
+                s_foot=middle - end * foot * along,
+                d_foot=centre - foot * out,
+                s_top=middle - end * top * along,
+                d_top=centre - top * out,
+                height_m=curb_m,
+            )
+        )
+    return stops if is_before else stops[::-1]
 
 
 def _side_street(
@@ -455,24 +474,23 @@ def _side_street(
     curb_m: float,
 ) -> None:
     """Add a side street: a road with a crown from the main road on, and its curbs."""
-    corner = ROAD_HALF_M + CORNER_M
-    across = [ROAD_HALF_M, corner, BUILDING_LINE_M, _FRONT_M, FAR_M]
     low = junction.s - junction.half
     high = junction.s + junction.half
     inner = mesh.s[(mesh.s > low) & (mesh.s < high)].tolist()
     along = sorted({low, *inner, junction.s, high})
+    across = [ROAD_HALF_M, ROAD_HALF_M + CORNER_M, BUILDING_LINE_M, _FRONT_M, FAR_M]
 
-    def crown(s: float, d: float) -> float:
-        return (
-            _CROSS_FALL
-            * (junction.half - abs(s - junction.s))
-            * min((d - ROAD_HALF_M) / CORNER_M, 1.0)
-        )
+    def on_road(s: float, d: float) -> Point:
+        from_edge = junction.half - abs(s - junction.s)
+        crown = _CROSS_FALL * from_edge * min((d - ROAD_HALF_M) / CORNER_M, 1.0)
+        return mesh.point(s, side * d, crown)
 
     for s0, s1 in itertools.pairwise(along):
         for d0, d1 in itertools.pairwise(across):
-            places = ((s0, d0), (s1, d0), (s1, d1), (s0, d1))
-            a, b, c, d = (mesh.point(s, side * away, crown(s, away)) for s, away in places)
+            a = on_road(s0, d0)
+            b = on_road(s1, d0)
+            c = on_road(s1, d1)
+            d = on_road(s0, d1)
             mesh.pile.quad(a, b, c, d, Material.ASPHALT)
     for foot, top in ((low, low - _BATTER_M), (high, high + _BATTER_M)):
         for d0, d1 in itertools.pairwise(across):
@@ -495,5 +513,5 @@ def frame_at(
 
     ``tilted`` = with the slopes of the road.
     """
-    x, y, z, yaw, slope, roll = ground.spot(s, d, tilted=tilted)
-    return Frame(x, y, z, yaw, slope, roll * mirror, mirror)
+    frame = ground.spot(s, d, tilted=tilted)
+    return replace(frame, roll=frame.roll * mirror, mirror=mirror)

@@ -58,15 +58,18 @@ class StreetScene:
         middle = self.line.nearest(x_m, y_m)
         # lines of equal s converge inside a curve: bodies are nearer there than s says
         reach = 1.35 * radius_m + _REACH_M
-        first, last = (int(np.floor((middle + way) / PIECE_M)) for way in (-reach, reach))
+        first = int(np.floor((middle - reach) / PIECE_M))
+        last = int(np.floor((middle + reach) / PIECE_M))
         parts = []
         for number in range(first, last + 1):
             with self._lock:
                 bodies, bounds = self._piece(number)
-            gap_x = np.maximum(np.maximum(bounds[:, 0] - x_m, x_m - bounds[:, 2]), 0.0)
-            gap_y = np.maximum(np.maximum(bounds[:, 1] - y_m, y_m - bounds[:, 3]), 0.0)
+            low_x, low_y, high_x, high_y = bounds.T
+            gap_x = np.maximum(np.maximum(low_x - x_m, x_m - high_x), 0.0)
+            gap_y = np.maximum(np.maximum(low_y - y_m, y_m - high_y), 0.0)
             parts.append(bodies.take(gap_x**2 + gap_y**2 <= radius_m**2))
-        return Bodies.join(parts + self._movers.near(middle, 1.2 * radius_m + 10.0, time_s))
+        movers = self._movers.near(middle, 1.2 * radius_m + 10.0, time_s)
+        return Bodies.join(parts + movers)
 
     def _make(self, number: int) -> tuple[Bodies, F64]:
         """Return the bodies of a piece and their bounds in plan."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prc_cli.simulation.street.pile import Frame, Pile, Span
+from prc_cli.simulation.street.pile import Frame, Pile, Point, Span
 from prc_cli.simulation.world import Material
 
 
@@ -42,43 +42,41 @@ def tree(
     rng: np.random.Generator,
     widest: float = 9.0,
 ) -> None:
-    """Add a tree."""
-    bole, radius, crown, trunk, density = (
-        float(rng.uniform(*span))
-        for span in (kind.bole, kind.radius, kind.crown, kind.trunk, kind.density)
-    )
-    radius = min(radius, widest)
-    lean = rng.uniform(-0.03, 0.03, 2).tolist()
-    top = bole + 0.75 * crown
-    middle = bole + 0.5 * crown
+    """Add a tree, its crown no wider than ``widest`` in radius [m]."""
+    bole = float(rng.uniform(*kind.bole))
+    radius = min(float(rng.uniform(*kind.radius)), widest)
+    crown = float(rng.uniform(*kind.crown))
+    trunk = float(rng.uniform(*kind.trunk))
+    density = float(rng.uniform(*kind.density))
+    lean_u, lean_v = rng.uniform(-0.03, 0.03, 2).tolist()
+
+    def on_axis(height: float) -> Point:
+        return frame.point(lean_u * height, lean_v * height, height)
+
     foot = frame.point(0.0, 0.0, -0.2)
-    fork = frame.point(lean[0] * bole, lean[1] * bole, bole)
-    tip = frame.point(lean[0] * top, lean[1] * top, top)
-    pile.cone((foot, fork), (1.15 * trunk, 0.8 * trunk), Material.TRUNK)
-    pile.cone((fork, tip), (0.8 * trunk, 0.15 * trunk), Material.BRANCH)
-    centre = frame.point(lean[0] * middle, lean[1] * middle, middle)
-    pile.ellipsoid(
-        centre, (0.68 * radius, 0.68 * radius, 0.5 * crown), 0.0, Material.LEAVES, density
-    )
+    fork = on_axis(bole)
+    tip = on_axis(bole + 0.75 * crown)
+    pile.cone(foot, fork, (1.15 * trunk, 0.8 * trunk), Material.TRUNK)
+    pile.cone(fork, tip, (0.8 * trunk, 0.15 * trunk), Material.BRANCH)
+    inner = (0.68 * radius, 0.68 * radius, 0.5 * crown)
+    pile.ellipsoid(on_axis(bole + 0.5 * crown), inner, 0.0, Material.LEAVES, density)
+
+    # balls around the trunk climb: the lower ones are wider
     turn = rng.uniform(0.0, 2.0 * np.pi)
     for i in range(kind.balls):
         around = turn + i * 2.0 * np.pi / kind.balls + rng.uniform(-0.3, 0.3)
-        # balls climb around the trunk: the lower ones are wider
-        up = bole + crown * (0.28 + 0.42 * ((i * 2) % kind.balls) / max(kind.balls - 1, 1))
+        n_lower = (i * 2) % kind.balls
+        up = bole + crown * (0.28 + 0.42 * n_lower / max(kind.balls - 1, 1))
         size = radius * rng.uniform(0.42, 0.56)
         away = radius - size
         u = away * np.cos(around)
         v = away * np.sin(around)
-        ball = frame.point(u, v, up)
         tall = max(min(size * rng.uniform(0.8, 1.2), up - bole + 0.3), 0.4)
-        pile.ellipsoid(ball, (size, size, tall), 0.0, Material.LEAVES, density)
+        pile.ellipsoid(frame.point(u, v, up), (size, size, tall), 0.0, Material.LEAVES, density)
         if i < 4:
-            low = frame.point(0.0, 0.0, bole + 0.15 * i * (up - bole))
-            pile.cone(
-                (low, frame.point(0.9 * u, 0.9 * v, up)),
-                (0.35 * trunk, 0.1 * trunk),
-                Material.BRANCH,
-            )
+            start = frame.point(0.0, 0.0, bole + 0.15 * i * (up - bole))
+            end = frame.point(0.9 * u, 0.9 * v, up)
+            pile.cone(start, end, (0.35 * trunk, 0.1 * trunk), Material.BRANCH)
 
 
 def bush(
@@ -90,10 +88,6 @@ def bush(
     """Add a round bush; leaf area density about 4 m²/m³."""
     tall = radius * rng.uniform(0.7, 1.1)
     half = (radius, radius * rng.uniform(0.7, 1.0), tall)
-    pile.ellipsoid(
-        frame.point(0.0, 0.0, 0.7 * tall),
-        half,
-        rng.uniform(0, np.pi),
-        Material.LEAVES,
-        rng.uniform(3.0, 5.0),
-    )
+    yaw = rng.uniform(0, np.pi)
+    density = rng.uniform(3.0, 5.0)
+    pile.ellipsoid(frame.point(0.0, 0.0, 0.7 * tall), half, yaw, Material.LEAVES, density)
