@@ -67,10 +67,10 @@ def test_background_curve_is_what_the_classifier_marks() -> None:
     image = street()[:30]
     curves = count(image, PrcParams(), 11)
     window = stream_window(np.full(window_reach(POINTS_PER_LINE), np.nan, np.float32), image, None)
-    everything = ~np.isnan(image)
+    supported = support(window, POINTS_PER_LINE, SupportParams())
     for place in range(0, len(curves.lengths), 5):
         params = BackgroundParams(d_c=float(curves.lengths[place]))
-        assert curves.background[place] == np.count_nonzero(background(window, everything, params))
+        assert curves.background[place] == np.count_nonzero(background(window, supported, params))
 
 
 def corridor(
@@ -271,7 +271,7 @@ def advised(
     reached = np.where(np.minimum(grid[:, None], grid[None, :]) < 1.0, low, 1.0) * plateau
     supported = np.round(100_000 * reached).astype(np.int64)
     background = np.full(len(lengths), 1000, np.int64)
-    curves = Curves(grid, grid, supported, lengths, background, 100_000, 100_000, 100_000)
+    curves = Curves(grid, grid, supported, lengths, background, 100_000, 100_000)
     return {item.key: item for item in imply(sensor, curves, used, 0.02)}
 
 

@@ -196,7 +196,8 @@ def support_case(rng: Generator) -> tuple[Any, ...]:
 def bend_case(rng: Generator) -> tuple[Any, ...]:
     n_lines, n_columns = SHAPES_OF_CALIBRATION[rng.integers(len(SHAPES_OF_CALIBRATION))]
     alpha = float(rng.choice([0.25, 0.3, 0.125]))
-    return _window(rng, n_lines, n_columns), n_lines, n_columns, _thresholds(rng), alpha
+    supported = rng.random((n_lines, n_columns)) < 0.8
+    return _window(rng, n_lines, n_columns), supported, _thresholds(rng), alpha
 
 
 CASES_OF_CALIBRATION: dict[str, Callable[[Generator], tuple[Any, ...]]] = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.core.types import F32, F64, I64
+from prc_cli.core.types import F32, F64, I64, Mask
 from prc_cli.reference.prc.stages import is_intersection, support_mask
 
 
@@ -35,15 +35,14 @@ def support_histogram(
 
 def bend_histogram(
     window: F32,
-    n_lines: int,
-    n_columns: int,
+    supported: Mask,
     lengths: F64,
     alpha: float,
 ) -> I64:
-    """Test every shot at every length and count at how many of them it is marked."""
-    reach = max(n_columns + 1, 4)
+    """Test every supported shot at every length and count at how many of them it is marked."""
+    reach = max(supported.shape[1] + 1, 4)
     counts = np.zeros(len(lengths) + 1, dtype=np.int64)
-    for i in range(reach, reach + n_lines * n_columns):
+    for i in (reach + np.flatnonzero(supported)).tolist():
         before, here, after = (float(window[j]) for j in (i - 1, i, i + 1))
         if not np.isnan(before + here + after):
             marked = [

@@ -46,6 +46,8 @@ class Settings:
     d_c: float = 0.05
     """Least length of physical objects [m]."""
     min_votes: int = 3
+    forks: str = "all"
+    """Pieces of a split segment that keep its label: "all", or the "largest"."""
     area: float = 30.0
     """A, pixels of a smooth segment in a block of k lines."""
     gamma: int = 2
@@ -180,7 +182,7 @@ def _smooth_image(
     """Return H (step 3)."""
     components, n_components = label_components(supported & ~background)  # a to c
     components = fill_holes(components, background)  # d, II-D.1
-    ids = _carry_labels(components, n_components, memory, settings.min_votes)  # e, II-D.2
+    ids = _carry_labels(components, n_components, memory, settings)  # e, II-D.2
     return np.array(ids, dtype=np.int64)[components]
 
 
@@ -188,7 +190,7 @@ def _carry_labels(
     components: I32,
     n_components: int,
     memory: Memory,
-    min_votes: int,
+    settings: Settings,
 ) -> list[int]:
     """Return the label of every component.
 
@@ -204,12 +206,20 @@ def _carry_labels(
     ids = [0]
     for component in range(1, n_components + 1):
         won = [
-            (-n, old) for (voter, old), n in votes.items() if voter == component and n >= min_votes
+            (-n, old)
+            for (voter, old), n in votes.items()
+            if voter == component and n >= settings.min_votes
         ]
-        if won:
-            ids.append(min(won)[1])
-        else:
-            ids.append(memory.next_id)
+        ids.append(min(won, default=(0, 0))[1])
+    if settings.forks == "largest":
+        for old in set(ids) - {0}:
+            pieces = [component for component, label in enumerate(ids) if label == old]
+            pieces.sort(key=lambda component: -np.count_nonzero(components == component))
+            for smaller in pieces[1:]:
+                ids[smaller] = 0
+    for component in range(1, n_components + 1):
+        if ids[component] == 0:
+            ids[component] = memory.next_id
             memory.next_id += 1
     return ids
 

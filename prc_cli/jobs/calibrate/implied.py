@@ -21,6 +21,7 @@ from prc_cli.methods.prc.support import (
     BackgroundParams,
     required_counts,
     stream_window,
+    support,
     tail_after,
     window_reach,
 )
@@ -55,9 +56,7 @@ class Curves:
     lengths: F64
     """(D,) float64, values of d_c [m]."""
     background: I64
-    """(D,) int64, returns between two returns that eq. 9 marks at every d_c, supported or not."""
-    n_between: int
-    """Returns between two returns."""
+    """(D,) int64, supported returns that eq. 9 marks at every d_c."""
     n_returns: int
     n_shots: int
 
@@ -78,8 +77,8 @@ class Curves:
         return row
 
     def background_share(self) -> F64:
-        """Return the share of background over d_c, (D,) float64, among returns between returns."""
-        shares: F64 = self.background / max(1, self.n_between)
+        """Return the share of the returns that are background over d_c, (D,) float64."""
+        shares: F64 = self.background / max(1, self.n_returns)
         return shares
 
     def as_dict(self, zeta_p: float, zeta_s: float) -> dict[str, Any]:
@@ -139,21 +138,21 @@ class CurveCounter:
         self._support += kernels.support_histogram(
             window, n, m, self.zetas_p, self.zetas_s, in_slice, adjacent
         )
+        supported = support(window, m, self.params.support)
         self._bend += kernels.bend_histogram(
-            window, n, m, self.lengths, self.params.background.alpha
+            window, supported, self.lengths, self.params.background.alpha
         )
         self.n_shots += block.range_m.size
 
     def finish(self) -> Curves:
         """Return the curves."""
-        n_between = int(self._bend.sum())
+        n_between_returns = int(self._bend.sum())
         return Curves(
             zetas_p=self.zetas_p,
             zetas_s=self.zetas_s,
             supported=self._support.cumsum(axis=0).cumsum(axis=1)[:-1, :-1],
             lengths=self.lengths,
-            background=n_between - self._bend.cumsum()[:-1],
-            n_between=n_between,
+            background=n_between_returns - self._bend.cumsum()[:-1],
             n_returns=int(self._support.sum()),
             n_shots=self.n_shots,
         )
@@ -233,25 +232,39 @@ def _zetas(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> tuple[A
     support = params.support
     need = PLATEAU_SHARE[params.environment]
     noise = sensor.noise_at(sensor.range_quantiles_m["75%"]) or 0.0
-    # each threshold is tested with the other one at its widest
+    # each threshold is tested with the other one at its widest, and drawn with the other one at 1 m
     rows = (
-        ("zeta_s", support.zeta_s, curves.zetas_s, curves.over_zeta_s(PLATEAU_M)),
-        ("zeta_p", support.zeta_p, curves.zetas_p, curves.over_zeta_p(PLATEAU_M)),
+        (
+            "zeta_s",
+            support.zeta_s,
+            curves.zetas_s,
+            curves.over_zeta_s(PLATEAU_M),
+            curves.over_zeta_s(1.0),
+        ),
+        (
+            "zeta_p",
+            support.zeta_p,
+            curves.zetas_p,
+            curves.over_zeta_p(PLATEAU_M),
+            curves.over_zeta_p(1.0),
+        ),
     )
     advice = []
-    for name, configured, grid, shares in rows:
-        plateau = float(shares[np.searchsorted(grid, PLATEAU_M)])
-        good = (shares >= need * plateau) & (grid >= ZETA_SIGMAS * noise)
-        share = float(
-            shares[np.searchsorted(grid, configured if configured in grid else grid[0])]
-        )  # zero is not on it
-        if plateau < LEAST_PLATEAU:
+    for name, configured, grid, shares, drawn in rows:
+        at_plateau = np.searchsorted(grid, PLATEAU_M)
+        at_configured = np.searchsorted(grid, configured) if configured in grid else 0
+        is_usable = float(shares[at_plateau]) >= LEAST_PLATEAU
+        good = (shares >= need * shares[at_plateau]) & (grid >= ZETA_SIGMAS * noise)
+        # reasons quote the curve that is drawn
+        plateau = float(drawn[at_plateau])
+        share = float(drawn[at_configured])
+        if not is_usable:
             value = configured
             reason = (
                 f"as configured: the curve has no plateau, since {PLATEAU_M:g} m supports "
                 f"no more than {plateau:.1%} of the returns"
             )
-        elif configured > 0 and good[np.searchsorted(grid, configured)]:
+        elif configured > 0 and good[at_configured]:
             value = configured
             reason = (
                 f"on the plateau of its curve: supports {share:.1%} of the returns, "

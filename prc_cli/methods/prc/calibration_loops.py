@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.core.types import F32, F32_1, F64, F64_1, I64_1, I64_2
+from prc_cli.core.types import F32, F32_1, F64, F64_1, I64_1, I64_2, Mask_2
 from prc_cli.kernels.cache import helper, kernel
 
 
@@ -98,21 +98,22 @@ def support_histogram(
 @kernel()
 def bend_histogram(
     window: F32_1,
-    n_lines: int,
-    n_columns: int,
+    supported: Mask_2,
     lengths: F64_1,
     alpha: float,
 ) -> I64_1:
-    """Count returns by the first length d_c at which they are not background (eq. 9, centred).
+    """Count supported returns by the first d_c at which they are not background (eq. 9, centred).
 
     A shot between neighbours a and b is marked when its bend ``|r - (a + b) / 2|`` is at least
     ``(1/2 - alpha) * max(|b - a|, d_c)``: never when the first of the two asks for more, else up to
     one d_c.
 
-    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``lengths`` (D,) float64,
-    metres; returns (D + 1,) int64.
+    ``window`` (reach + n_lines * n_columns + reach,) float32, metres; ``supported`` (n_lines,
+    n_columns) bool; ``lengths`` (D,) float64, metres; returns (D + 1,) int64.
     """
+    n_lines, n_columns = supported.shape
     reach = max(n_columns + 1, 4)
+    is_supported = supported.ravel()
     slack = 0.5 - alpha
     limits = slack * lengths
     counts = np.zeros(len(lengths) + 1, np.int64)
@@ -121,7 +122,7 @@ def bend_histogram(
         a = np.float64(window[i - 1])
         b = np.float64(window[i + 1])
         bend = abs(r - (a + b) / 2.0)
-        if np.isnan(bend):
+        if np.isnan(bend) or not is_supported[i - reach]:
             continue
         counts[_first_above(limits, bend) if bend >= slack * abs(b - a) else 0] += 1
     return counts

@@ -6,6 +6,7 @@ Lehtola et al. (2019), II-D.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -24,6 +25,13 @@ class ComponentsParams(Params):
         ge=1,
         le=1_000_000,
         description="shots of the block boundary that must vote for an older label",
+    )
+    forks: Literal["all", "largest"] = Field(
+        "all",
+        description=(
+            "which pieces of a segment that splits at the block boundary keep its label: "
+            '"all" of them, as published, or the "largest" piece only'
+        ),
     )
 
 
@@ -99,8 +107,9 @@ def identify(
     """Give components the segment ids of the last line before the block, by vote (II-D.2).
 
     Every column where both lines have a label is one vote. A component gets the label with most
-    votes, if there are enough; on ties the oldest. Several components may get the same label. The
-    other components get new ids.
+    votes, if there are enough; on ties the oldest. Several components may get the same label: a
+    segment forks. With ``params.forks = "largest"`` only its piece with the most shots keeps the
+    label, on ties the first one. The other components get new ids.
 
     ``last_line`` (M,) int64.
 
@@ -115,6 +124,18 @@ def identify(
     """
     n_components = len(joined.pixels) - 1
     ids = kernels.carry_labels(joined.image[0], last_line.copy(), n_components, params.min_votes)
+    if params.forks == "largest":
+        ids = _keep_largest_pieces(ids, joined.pixels)
     new = np.flatnonzero(ids[1:] == 0) + 1
     ids[new] = np.arange(next_id, next_id + len(new))
     return Components(joined.image, joined.pixels, ids, next_id, next_id + len(new))
+
+
+def _keep_largest_pieces(ids: I64, pixels: I64) -> I64:
+    """Return the ids (n + 1,), with 0 for all components of an id but the one of most pixels."""
+    largest_first = np.argsort(-pixels, kind="stable")
+    _, place_of_largest = np.unique(ids[largest_first], return_index=True)
+    kept = np.zeros_like(ids)
+    largest = largest_first[place_of_largest]
+    kept[largest] = ids[largest]
+    return kept

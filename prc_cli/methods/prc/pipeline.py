@@ -48,6 +48,7 @@ from prc_cli.methods.prc.surfaces import (
     find_small,
     smooth_last_line,
     surfaces,
+    unusual_dilation,
 )
 from prc_cli.methods.prc.urban import (
     ForestParams,
@@ -215,9 +216,9 @@ class Prc(Classifier[int, PrcState]):
         return (replace(labelled, reasons=reasons, measures=measures),)
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
-        """Report thresholds that the paper advises against."""
-        notice = unusual(self.params.support)
-        return () if notice is None else (notice,)
+        """Report parameters that the paper advises against."""
+        notices = (unusual(self.params.support), unusual_dilation(self.params.surfaces))
+        return tuple(notice for notice in notices if notice is not None)
 
 
 def measures_of(trace: PrcTrace) -> dict[str, NDArray[Any]]:

@@ -5,6 +5,7 @@ Lehtola et al. (2019), II-E.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -49,6 +50,30 @@ class SurfacesParams(Params):
         ge=0,
         le=10_000,
         description="dilations of the non-smooth image; keep far below the square root of the area",
+    )
+
+
+MOST_GAMMA = 0.5
+"""Gamma, as a share of the square root of the area, from which on a notice is given.
+
+The published values are .37 of it."""
+
+
+def unusual_dilation(params: SurfacesParams) -> str | None:
+    """Return a notice if the paper advises against this dilation (II-E: gamma far below sqrt A).
+
+    >>> unusual_dilation(SurfacesParams()), unusual_dilation(SurfacesParams(area="auto", gamma=9))
+    (None, None)
+    >>> unusual_dilation(SurfacesParams(gamma=20))
+    'prc.surfaces.gamma = 20 is not far below the square root of prc.surfaces.area = 30: surfaces
+    of that size vanish under their neighbours, and buildings become vegetation'
+    """
+    if params.area == "auto" or params.gamma < MOST_GAMMA * math.sqrt(params.area):
+        return None
+    return (
+        f"prc.surfaces.gamma = {params.gamma} is not far below the square root of "
+        f"prc.surfaces.area = {params.area:g}: surfaces of that size vanish under their "
+        "neighbours, and buildings become vegetation"
     )
 
 

@@ -47,7 +47,10 @@ class ChordThresholds(NamedTuple):
     """Chords between shots, on which angles are measured (``[sequential_angle.angles]``)."""
 
     range_noise_m: Annotated[float, key(0, 10)] = 0.005
-    """Standard deviation of the range noise of the scanner [m] (published)."""
+    """Standard deviation of the range noise of the scanner [m].
+
+    It is the accuracy of the scanner of the paper (sec. 9); footnote 3 implies 1 mm.
+    """
     min_chord_sigmas: Annotated[float, key(0, 1000)] = 4.0
     """Shortest chord that an angle is measured on [standard deviations of the range noise].
 

@@ -84,6 +84,7 @@ def to_settings(params: PrcParams, points_per_line: int) -> Settings:
         alpha=params.background.alpha,
         d_c=params.background.d_c,
         min_votes=params.components.min_votes,
+        forks=params.components.forks,
         area=area_threshold(params.surfaces, k, k, points_per_line),
         gamma=params.surfaces.gamma,
         ground=params.urban.ground,
@@ -114,7 +115,10 @@ def random_params(rng: Generator) -> PrcParams:
                 "alpha": pick(rng, 0.3, 0.25),
                 "d_c": pick(rng, 0.05, 0.0625, 1.0),
             },
-            "components": {"min_votes": pick(rng, 1, 2, 3)},
+            "components": {
+                "min_votes": pick(rng, 1, 2, 3),
+                "forks": pick(rng, "all", "largest"),
+            },
             "surfaces": {
                 "area": pick(rng, 1, 3, 7.5, 12, 30, "auto"),
                 "gamma": pick(rng, 0, 1, 2, 3),

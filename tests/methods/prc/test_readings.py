@@ -362,6 +362,23 @@ class TestReading10Votes:
     def test_fork_keeps_the_label_on_both_sides(self) -> None:
         assert self.carry([1, 1, 1, 0, 2, 2, 2], [7] * 7) == [7, 7]
 
+    @staticmethod
+    def identified(image: list[list[int]], forks: str) -> list[list[int]]:
+        """Segments of an image below a line of the label 7."""
+        shots = np.array(image, dtype=np.bool_)
+        last_line = np.full(shots.shape[1], 7)
+        params = ComponentsParams.model_validate({"forks": forks})
+        h = components(shots, np.zeros_like(shots), last_line, 8, params)
+        return h.to_segments().tolist()  # type: ignore[no-any-return]
+
+    def test_only_the_largest_piece_keeps_the_label_if_asked(self) -> None:
+        image = [[1, 1, 1, 0, 1, 1, 1], [0, 0, 0, 0, 1, 1, 1]]
+        assert self.identified(image, "all") == [[7, 7, 7, 0, 7, 7, 7], [0, 0, 0, 0, 7, 7, 7]]
+        assert self.identified(image, "largest") == [[8, 8, 8, 0, 7, 7, 7], [0, 0, 0, 0, 7, 7, 7]]
+
+    def test_of_equal_pieces_the_first_keeps_the_label(self) -> None:
+        assert self.identified([[1, 1, 1, 0, 1, 1, 1]], "largest") == [[7, 7, 7, 0, 8, 8, 8]]
+
     def test_votes_in_another_column_do_not_count(self) -> None:
         assert self.carry([0, 0, 0, 1, 1, 1], [7, 7, 7, 0, 0, 0]) == [0]
 
