@@ -1,6 +1,7 @@
 """The configuration of a run: the parameters of all stages, and the source of every value.
 
-Layers, later ones win: built-in defaults, a preset, a TOML file, command-line options.
+Layers, later ones win: built-in defaults, the layout beside a dump (:func:`resolve`), a preset, a
+TOML file, command-line options.
 """
 
 from __future__ import annotations
@@ -29,11 +30,10 @@ from prc_cli.core.config import (
     samples_folder,
 )
 from prc_cli.core.errors import ConfigError
-from prc_cli.core.files import suffix_of
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import Assumption
+from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig, Layout
-from prc_cli.formats.registry import has_layout, is_dump
 from prc_cli.formats.writing.columns import OutputConfig
 from prc_cli.methods.base import MethodParams
 from prc_cli.methods.methods import METHODS, MethodName, MethodTables, table_of
@@ -300,13 +300,14 @@ def from_layers(
     """Build a configuration from named nested tables; later ones win."""
     merged: dict[str, Any] = {}
     sources: dict[str, str] = {}
+    config = RunConfig()
     for name, layer in layers:
         if layer.get("method") == "auto" and sources.get("method", "").startswith(_PRESET):
             # a file that leaves the method open leaves it to the preset beside it
             layer = {key: value for key, value in layer.items() if key != "method"}
         merged = merge(merged, layer)
         # validated after every layer, so that the message names the right source
-        build(RunConfig, merged, name)
+        config = build(RunConfig, merged, name)
         sources.update(dict.fromkeys(dict(flatten(layer)), name))
     if "method" not in merged and (methods_given := tables_given(merged)):
         tables = " and ".join(f"[{table_of(method)}]" for method in methods_given)
@@ -316,7 +317,7 @@ def from_layers(
                 layers[-1][0], problem, 'name it: method = "auto" is what labels the input best'
             )
         sources["method"] = f"the table {tables}"
-    return LoadedConfig(build(RunConfig, merged, "configuration"), sources, files)
+    return LoadedConfig(config, sources, files)
 
 
 _PRESET = "preset "
@@ -412,12 +413,27 @@ def sample_summaries() -> list[tuple[Path, str]]:
     ]
 
 
-def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
+def resolve(
+    source: Path | str, config: LoadedConfig | RunConfig | None = None
+) -> tuple[Input, LoadedConfig]:
+    """Return an input and its configuration, with the layout beside the input as a layer.
+
+    Raises
+    ------
+    ConfigError
+        If the layout beside the input is damaged, or an option gives a layout that does nothing.
+    """
+    scan = Input.of(source)
+    loaded = with_layout_beside(scan, LoadedConfig.of(config))
+    return replace(scan, layout=loaded.config.layout), loaded
+
+
+def with_layout_beside(scan: Input, loaded: LoadedConfig) -> LoadedConfig:
     """Add the layout beside a dump (``drive.bin.toml`` or ``drive.toml``), if none is given."""
     layout = loaded.config.layout
-    if layout is not None and layout.fields and not has_layout(path):
-        reason = f"{suffix_of(path) or 'these'} files describe their records themselves"
-        if loaded.sources.get("layout.fields") == OPTION and path.is_file():
+    if layout is not None and layout.fields and not scan.has_layout:
+        reason = f"{scan.suffix or 'these'} files describe their records themselves"
+        if loaded.sources.get("layout.fields") == OPTION and scan.path.is_file():
             problem = f"does nothing: {reason}"
             raise ConfigError(
                 "layout.fields",
@@ -426,8 +442,9 @@ def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
             )
         note = f"the layout is not used: {reason}"
         return loaded if note in loaded.notes else replace(loaded, notes=(*loaded.notes, note))
-    if layout is not None or not has_layout(path):
+    if layout is not None or not scan.has_layout:
         return loaded
+    path = scan.path
     for beside in dict.fromkeys((path.with_name(f"{path.name}.toml"), path.with_suffix(".toml"))):
         if beside in loaded.files or not beside.is_file():
             continue
@@ -436,19 +453,25 @@ def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
             continue
         sections: dict[str, Any] = {key: table[key] for key in ("input", "layout") if key in table}
         note = f"the layout is that of {beside.name} beside the dump; --layout gives another"
-        with_layout = _with_table(loaded, from_folder(sections, beside.parent), str(beside), note)
+        layer = from_folder(sections, beside.parent)
+        with_layout = _with_lowest_layer(loaded, str(beside), layer, note)
         return replace(with_layout, files=(*loaded.files, beside))
+    return _with_layout_of_frame(scan, loaded)
+
+
+def _with_layout_of_frame(scan: Input, loaded: LoadedConfig) -> LoadedConfig:
+    """Add the layout of a KITTI frame, if a dump has its records and no rule is given."""
     inputs = loaded.config.input
     has_rules = (
         inputs.points_per_line is not None
         or (inputs.lines, inputs.columns, inputs.range) != ("auto",) * 3
     )
-    if has_rules or not is_dump(path) or not path.is_file():
+    if has_rules or not scan.is_dump or not scan.path.is_file():
         return loaded
     # imported here: only dumps need it
     from prc_cli.formats.guessing import frame_fields
 
-    names = frame_fields(path)
+    names = frame_fields(scan.path)
     if names is None:
         return loaded
     sample = read_toml(samples_folder() / FRAME_SAMPLE)
@@ -463,27 +486,24 @@ def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
         f"the records look like {shown} of a frame: read as {FRAME_SAMPLE} says; "
         "--layout says otherwise"
     )
-    return _with_table(loaded, sample, FRAME_SAMPLE, note)
+    return _with_lowest_layer(loaded, FRAME_SAMPLE, sample, note)
 
 
 FRAME_SAMPLE = "kitti_frame.toml"
 """Sample configuration that reads a frame of x, y, z and intensity."""
 
 
-def _with_table(
-    loaded: LoadedConfig,
-    beneath: Mapping[str, Any],
-    name: str,
-    note: str,
+def _with_lowest_layer(
+    loaded: LoadedConfig, name: str, layer: Mapping[str, Any], note: str
 ) -> LoadedConfig:
-    # the table is beneath options and files
-    usual = dict(flatten(RunConfig().to_table()))
-    table = merge(loaded.config.to_table(), beneath)
-    for key, value in flatten(loaded.config.to_table()):
-        if key in loaded.sources or value != usual.get(key):
-            table = merge(table, _nested(key, value))
-    config = build(RunConfig, table, name)
-    sources = {**{key: name for key, _ in flatten(beneath)}, **loaded.sources}
+    # the values that were set are the layers above: pydantic knows them
+    above = loaded.config.model_dump(
+        mode="json", by_alias=True, exclude_unset=True, exclude_none=True
+    )
+    # a table of a method in this layer does not choose the method
+    above = {"method": loaded.config.method, **above}
+    config = build(RunConfig, merge(layer, above), name)
+    sources = {**{key: name for key, _ in flatten(layer)}, **loaded.sources}
     return replace(loaded, config=config, sources=sources, notes=(*loaded.notes, note))
 
 

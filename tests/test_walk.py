@@ -21,7 +21,7 @@ import prc_cli
 from prc_cli.cli import cli
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.config import samples_folder
-from prc_cli.formats import open_source
+from prc_cli.formats.input import Input
 from tests.runner import runner
 from tests.street import angles, street
 
@@ -183,7 +183,7 @@ def write_registered(sources: list[Path], output: Path, positions: Path) -> None
         "number_of_returns",
     )
     for path in sources:
-        source = open_source(path)
+        source = Input.of(path).records()
         assert source is not None
         for chunk in source.chunks(names):
             for name in names:

@@ -8,17 +8,15 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import ScanStream
-from prc_cli.formats import check_input, open_source
+from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.records import RecordChunk, Source
-from prc_cli.formats.registry import by_suffix
 
 GAP_S = 1.0
 """Longest time between the last record of a file and the first of the next file [s]."""
@@ -121,14 +119,14 @@ RECORDINGS = ("bag", "capture")
 class JoinedRecordings:
     """Bags, or captures, of one drive: messages and packets go on from file to file."""
 
-    paths: tuple[Path, ...]
+    parts: tuple[Input, ...]
     config: InputConfig
 
     def firsts(self) -> list[int]:
         """Return the number of the first record of every file, and the number of all records."""
         counts = [
-            sum(block.tally.n_records for block in open_recordings((path,), self.config).blocks())
-            for path in self.paths
+            sum(block.tally.n_records for block in open_recordings((part,), self.config).blocks())
+            for part in self.parts
         ]
         return [0, *np.cumsum(counts).tolist()]
 
@@ -138,48 +136,74 @@ class JoinedRecordings:
 
     def upto(self, n: int) -> JoinedRecordings:
         """Return the first files."""
-        return replace(self, paths=self.paths[:n])
+        return replace(self, parts=self.parts[:n])
 
 
-def are_recordings(paths: Sequence[Path]) -> bool:
-    """Whether all files are bags, or all are captures."""
-    forms = {by_suffix("scans")[check_input(path)].name for path in paths}
-    return len(forms) == 1 and forms <= set(RECORDINGS)
+@dataclass(frozen=True, slots=True)
+class JoinedInput:
+    """Files of one drive, in the order of recording, read as one :class:`Input`."""
+
+    parts: tuple[Input, ...]
+
+    def __str__(self) -> str:
+        """Return the name of the first file, for messages."""
+        return str(self.parts[0])
+
+    @property
+    def layout(self) -> Layout | None:
+        """Layout of the records."""
+        return self.parts[0].layout
+
+    @property
+    def are_recordings(self) -> bool:
+        """Whether all files are bags, or all are captures."""
+        forms = {part.readable_format().name for part in self.parts}
+        return len(forms) == 1 and forms <= set(RECORDINGS)
+
+    def records(self) -> JoinedSource | None:
+        """Open the files as one list of records; None for recordings.
+
+        Raises
+        ------
+        InputError
+            If a file is a range image or an organised scan.
+        """
+        if self.are_recordings:
+            return None
+        sources: list[Source] = []
+        for part in self.parts:
+            source = part.records()
+            if source is None:
+                problem = "contains whole scans, expected files of records, or only bags, "
+                problem += "or only captures"
+                raise InputError(
+                    str(part),
+                    problem,
+                    f"classify it alone: prc classify {shlex.quote(str(part))} OUT",
+                )
+            sources.append(source)
+        return JoinedSource(tuple(sources))
+
+    def images(self, config: InputConfig, *, lines_at_once: int = 1) -> ScanStream:
+        """Open bags, or captures, as one stream; a block is a scan, of as many lines as it has."""
+        return open_recordings(self.parts, config)
+
+    def joined(self, config: InputConfig) -> JoinedSource | JoinedRecordings:
+        """Return what is known of each file: its first record and its notes."""
+        records = self.records()
+        return JoinedRecordings(self.parts, config) if records is None else records
 
 
-def open_recordings(paths: Sequence[Path], config: InputConfig) -> ScanStream:
+def open_recordings(parts: Sequence[Input], config: InputConfig) -> ScanStream:
     """Open bags, or captures, of one drive as one stream."""
-    if by_suffix("scans")[check_input(paths[0])].name == "bag":
+    paths = tuple(part.path for part in parts)
+    if parts[0].readable_format().name == "bag":
         from prc_cli.formats.bags.read import BagStream
 
-        return BagStream(paths[0], config, parts=tuple(paths))
+        return BagStream(paths[0], config, parts=paths)
     from prc_cli.formats.packets.read import PacketStream
 
-    return PacketStream(paths[0], config, parts=tuple(paths))
-
-
-def open_joined(paths: Sequence[Path], layout: Layout | None = None) -> JoinedSource:
-    """Open files, in the order of recording, as one list of records.
-
-    Raises
-    ------
-    InputError
-        If a file is a range image or an organised scan.
-    """
-    parts: list[Source] = []
-    for path in paths:
-        source = open_source(path, layout)
-        if source is None:
-            problem = (
-                "contains whole scans, expected files of records, or only bags, or only captures"
-            )
-            raise InputError(
-                str(path),
-                problem,
-                f"classify it alone: prc classify {shlex.quote(str(path))} OUT",
-            )
-        parts.append(source)
-    return JoinedSource(tuple(parts))
+    return PacketStream(paths[0], config, parts=paths)
 
 
 def find_break(joined: JoinedSource, *, in_order: bool = True) -> Break | None:

@@ -26,8 +26,8 @@ def open_writer(output: LabelOutput, *, overwrite: bool) -> StagedWriter:
         problem = f"found suffix {path.suffix!r}, expected one of {', '.join(sorted(known))}"
         raise ConfigError(str(path), problem, "choose an output name that ends in one of them")
     check_codes(output.codes, output.options)
-    check_output(path, overwrite=overwrite, inputs=(output.source,))
-    check_output(record_path(path), overwrite=overwrite, inputs=(output.source,))
+    check_output(path, overwrite=overwrite, inputs=(output.source.path,))
+    check_output(record_path(path), overwrite=overwrite, inputs=(output.source.path,))
     return known[suffix].label_writer(output)
 
 

@@ -10,14 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import get_args
 
-from prc_cli.config import ChosenPreset, LoadedConfig, MethodChoice, RunConfig, with_layout_beside
+from prc_cli.config import ChosenPreset, LoadedConfig, MethodChoice, RunConfig
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock, ScanStream
 from prc_cli.core.threads import closing_items
-from prc_cli.formats import open_source
+from prc_cli.formats.input import Input
 from prc_cli.kernels import Engine
 from prc_cli.methods.rings.pipeline import WIDEST_FAN_RAD, is_fan
 from prc_cli.streams.beams import ANGLES, BeamStream, with_beams
@@ -196,25 +195,24 @@ def decide_stream(
 
 
 def decide(
-    path: Path,
+    scan: Input,
     loaded: LoadedConfig,
     *,
     engine: Engine = "compiled",
     trust_order: bool = False,
 ) -> LoadedConfig:
     """Return a configuration that names a method: its own, or the method chosen for a file."""
-    return decide_and_open(path, loaded, engine=engine, trust_order=trust_order)[0]
+    return decide_and_open(scan, loaded, engine=engine, trust_order=trust_order)[0]
 
 
 def decide_and_open(
-    path: Path,
+    scan: Input,
     loaded: LoadedConfig,
     *,
     engine: Engine = "compiled",
     trust_order: bool = False,
 ) -> tuple[LoadedConfig, ScanStream | None]:
     """Decide as :func:`decide`; also return the stream if it was opened and has beam directions."""
-    loaded = with_layout_beside(path, loaded)
     config = loaded.config
     if config.is_decided:
         return loaded, None
@@ -224,8 +222,8 @@ def decide_and_open(
     inputs = config.input
     try:
         if trust_order:
-            inputs = trusting(open_source(path, config.layout), inputs)
-        stream = open_input(path, inputs, config.layout)
+            inputs = trusting(scan.records(), inputs)
+        stream = open_input(scan, inputs)
     except (InputError, ConfigError) as refusal:
         return decided_by(MethodChoice("urban", refusal.problem), loaded), None
     choice, stream = choose(stream, config)

@@ -17,7 +17,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from prc_cli.config import CHOSEN_FROM, LoadedConfig, RunConfig, with_layout_beside
+from prc_cli.config import CHOSEN_FROM, LoadedConfig, RunConfig, resolve
 from prc_cli.core.brief import Brief
 from prc_cli.core.classes import ClassCodes, Label, count_bytes
 from prc_cli.core.errors import ConfigError, DoubtWarning, InputError
@@ -28,11 +28,13 @@ from prc_cli.core.profile import timed, timed_items
 from prc_cli.core.stream import FAR_M, LabelledBlock, ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.threads import close_items, default_threads, read_ahead, write_behind
 from prc_cli.core.types import F32, F64, I64, U8
-from prc_cli.formats import LAS_SUFFIXES, check_input, scan_file
+from prc_cli.formats import LAS_SUFFIXES
+from prc_cli.formats.input import Input
+from prc_cli.formats.joined import JoinedInput
 from prc_cli.formats.las import LAZ
 from prc_cli.formats.outputs import open_writer, prepare_label_outputs
 from prc_cli.formats.ranges import clean_ranges
-from prc_cli.formats.registry import is_cloud, keeps_points
+from prc_cli.formats.registry import is_cloud
 from prc_cli.formats.writing.columns import LabelOutput, OutputConfig, asked_columns
 from prc_cli.formats.writing.record import Fingerprint, FingerprintBeside, RunRecord, fingerprint
 from prc_cli.jobs.choice import (
@@ -172,31 +174,28 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
     InputError
         When the file is damaged, or ranges cannot be computed from it.
     """
-    path = scan_file(Path(path))
-    return _open(path, with_layout_beside(path, LoadedConfig.of(config)).config, geometry=True)
+    scan, loaded = resolve(path, config)
+    return open_for_method(scan, loaded.config)
 
 
-def _open(
-    path: Path,
+def open_for_method(
+    scan: Input | JoinedInput,
     config: RunConfig,
     *,
-    geometry: bool,
+    geometry: bool = True,
     only_ranges: bool = False,
-    parts: Sequence[Path] = (),
 ) -> ScanStream:
     """Open an input; with ``geometry`` blocks have angles even if the method needs none."""
     # without a method the input is read as for PRC, which needs the least
     params = config.classifier if config.is_decided else config.prc
     needs = params.method().needs
     stream = open_input(
-        path,
+        scan,
         config.input,
-        config.layout,
         lines_at_once=needs.lines_per_block or 1,
         geometry=geometry or config.needs_beams,
         only_ranges=only_ranges,
         with_intensity=needs.intensity,
-        parts=parts,
     )
     if not config.needs_beams:
         return stream
@@ -207,14 +206,13 @@ def _open(
 
 
 def open_decided(
-    path: Path,
+    scan: Input | JoinedInput,
     loaded: LoadedConfig,
     engine: Engine,
     *,
     geometry: bool,
     only_ranges: bool,
     loading: Callable[[], AbstractContextManager[None]],
-    parts: Sequence[Path] = (),
 ) -> tuple[LoadedConfig, ScanStream]:
     """Open an input for the named method, else for the method that prc chooses.
 
@@ -227,12 +225,10 @@ def open_decided(
         if choice is None:
             # the choice needs the beams of the input: it is opened before the method is known
             stream = open_input(
-                path,
+                scan,
                 config.input,
-                config.layout,
                 lines_at_once=config.fused.method().needs.lines_per_block or 1,
                 only_ranges=only_ranges,
-                parts=parts,
             )
             choice, stream = choose(stream, config)
         loaded = decided_by(choice, loaded)
@@ -243,9 +239,8 @@ def open_decided(
         if stream is not None and chosen.needs_beams and not lacks_intensity:
             return loaded, stream
         # else this stream has more or less than the method needs, and the input is opened again
-    return loaded, _open(
-        path, loaded.config, geometry=geometry, only_ranges=only_ranges, parts=parts
-    )
+    stream = open_for_method(scan, loaded.config, geometry=geometry, only_ranges=only_ranges)
+    return loaded, stream
 
 
 def label_blocks(
@@ -340,12 +335,12 @@ def classify(
     InputError, OutputError, ConfigError
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
-    loaded = LoadedConfig.of(config)
     if engine != "compiled":  # refused before anything is read
-        load_classifier(loaded, engine)
+        load_classifier(config, engine)
+    scan, loaded = resolve(source, config)
     with use_engine(engine):
         return _classify(
-            scan_file(Path(source)),
+            scan,
             Path(output),
             loaded,
             overwrite=overwrite,
@@ -364,7 +359,7 @@ def threads_of(engine: Engine, threads: int | None = None) -> int:
 
 
 def _classify(
-    source: Path,
+    scan: Input,
     output: Path,
     loaded: LoadedConfig,
     *,
@@ -375,19 +370,18 @@ def _classify(
     loading: Callable[[], AbstractContextManager[None]],
 ) -> RunSummary:
     """Classify one file with the engine that is set; see :func:`classify`."""
-    loaded = with_layout_beside(source, loaded)
     return_memory()  # must be called before any thread starts
-    prepare_label_outputs(output, overwrite=overwrite, inputs=loaded.inputs(source))
-    check_input(source)
-    state_at_start = file_state(source)
+    prepare_label_outputs(output, overwrite=overwrite, inputs=loaded.inputs(scan.path))
+    scan.check()
+    state_at_start = file_state(scan.path)
     with timed("opening"):
         makes_cloud = is_cloud(output)
-        is_las_to_las = suffix_of(source) in LAS_SUFFIXES and suffix_of(output) in LAS_SUFFIXES
+        is_las_to_las = scan.is_las and suffix_of(output) in LAS_SUFFIXES
         # only a cloud that is built from blocks needs times and intensities
         only_ranges = not makes_cloud or is_las_to_las
-        is_new_cloud = makes_cloud and not keeps_points(source, output)
+        is_new_cloud = makes_cloud and not scan.keeps_points(output)
         loaded, opened = open_decided(
-            source, loaded, engine, geometry=is_new_cloud, only_ranges=only_ranges, loading=loading
+            scan, loaded, engine, geometry=is_new_cloud, only_ranges=only_ranges, loading=loading
         )
         if suffix_of(output) == LAZ and not asked_columns(loaded.config.output):
             # LAZ to LAZ copies all layers as bytes: those not read here are decoded to find damage
@@ -399,13 +393,13 @@ def _classify(
         stream = watched(opened, loaded.config.input, needs=needs, others=loaded.findings)
     with (
         FingerprintBeside(
-            source, threads=threads, hashes=loaded.config.input.window is None
+            scan.path, threads=threads, hashes=loaded.config.input.window is None
         ) as fingerprint_beside,
-        placement(source, output, loaded, opened) if is_new_cloud else nullcontext() as place,
+        placement(scan, output, loaded, opened) if is_new_cloud else nullcontext() as place,
         open_writer(
             LabelOutput(
                 path=output,
-                source=source,
+                source=scan,
                 n_records=stream.info.n_records,
                 points_per_line=stream.info.points_per_line,
                 codes=loaded.config.classes,
@@ -422,7 +416,7 @@ def _classify(
         counts, findings, notes = write_labels(stream, writer, loaded.config, threads, progress)
         record = run_record(stream.info, counts, loaded, fingerprint_beside.result())
         record = replace(record, notices=(*record.notices, *notes), engine=engine)
-        check_unchanged(source, state_at_start)
+        check_unchanged(scan.path, state_at_start)
         with timed("finishing the output"):
             record = writer.finish(record)
     return RunSummary(output, record, counts, findings)

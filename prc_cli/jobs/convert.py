@@ -14,15 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
-from prc_cli.config import LoadedConfig, RunConfig, with_layout_beside
+from prc_cli.config import LoadedConfig, RunConfig, resolve
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import atomic_outputs, check_unchanged, file_state, suffix_of
+from prc_cli.core.files import atomic_outputs, check_unchanged, file_state
 from prc_cli.core.findings import Doubted, Finding, notices
 from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import Mask
-from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
+from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.arrays.read import CLASS
 from prc_cli.formats.arrays.rows import ArrayFile
+from prc_cli.formats.input import Input
 from prc_cli.formats.labels import NAMES, open_codes
 from prc_cli.formats.las.rewrite import copy_las, read_las
 from prc_cli.formats.outputs import (
@@ -117,15 +118,14 @@ def convert(
     InputError, OutputError, ConfigError
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
-    loaded = with_layout_beside(Path(source), LoadedConfig.of(config))
-    source = Path(source)
+    scan, loaded = resolve(source, config)
     output = Path(output)
-    prepare_output(source, output, loaded, overwrite=overwrite)
-    if suffix_of(source) in LAS_SUFFIXES and stream_suffix(output) in LAS_SUFFIXES:
+    prepare_output(scan, output, loaded, overwrite=overwrite)
+    if scan.is_las and stream_suffix(output) in LAS_SUFFIXES:
         if loaded.config.input.window is None:
-            return _copy(source, output, loaded)
-        return _copy_window(source, output, loaded, progress)
-    before = file_state(source)
+            return _copy(scan, output, loaded)
+        return _copy_window(scan, output, loaded, progress)
+    before = file_state(scan.path)
     counts = Counts.none()
     watches: list[EvidenceStream] = []
 
@@ -135,7 +135,7 @@ def convert(
         return watches[-1].blocks()
 
     with (
-        open_items(source, output, loaded, blocks_of=watched_blocks) as opened,
+        open_items(scan, output, loaded, blocks_of=watched_blocks) as opened,
         open_stream_writer(output, opened.shape) as writer,
     ):
         for item in opened.items:
@@ -152,7 +152,7 @@ def convert(
             record, notices=(*record.notices, *opened.notices, *notes, *notices(findings))
         )
         record = record_of_scanners(record, counts)
-        check_unchanged(source, before)
+        check_unchanged(scan.path, before)
         record = writer.finish(record)
     return ConversionSummary(
         output,
@@ -171,7 +171,7 @@ def record_of_scanners(record: RunRecord, counts: Counts) -> RunRecord:
 
 
 def prepare_output(
-    source: Path,
+    scan: Input,
     output: Path,
     loaded: LoadedConfig,
     *,
@@ -180,20 +180,20 @@ def prepare_output(
 ) -> None:
     """Refuse an impossible output before reading; remove temporary files of interrupted runs."""
     stream_suffix(output)
-    check_input(source)
-    prepare_stream_output(output, overwrite=overwrite, inputs=loaded.inputs(source, *more))
+    scan.check()
+    prepare_stream_output(output, overwrite=overwrite, inputs=loaded.inputs(scan.path, *more))
 
 
-def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary:
+def _copy(scan: Input, output: Path, loaded: LoadedConfig) -> ConversionSummary:
     """Change the compression of a LAS or LAZ file and nothing else."""
-    las = read_las(source)
-    before = file_state(source)
+    las = read_las(scan.path)
+    before = file_state(scan.path)
     with atomic_outputs(output, record_path(output)) as (temporary, beside):
         notes = copy_las(las, output, temporary)
-        check_unchanged(source, before)
+        check_unchanged(scan.path, before)
         record = RunRecord(
             config=loaded.config.to_table(),
-            input=fingerprint(source),
+            input=fingerprint(scan.path),
             format="LAZ" if las.compressed else "LAS",
             points_per_line=0,
             n_records=las.n_records,
@@ -204,23 +204,20 @@ def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary
 
 
 def _copy_window(
-    source: Path,
+    scan: Input,
     output: Path,
     loaded: LoadedConfig,
     progress: Progress | None,
 ) -> ConversionSummary:
     """Copy the records of a window of a LAS or LAZ file; nothing else changes."""
-    las = read_las(source)
-    before = file_state(source)
+    las = read_las(scan.path)
+    before = file_state(scan.path)
     counts = Counts.none()
     with contextlib.ExitStack() as stack:
         temporary, beside = stack.enter_context(atomic_outputs(output, record_path(output)))
         stays = stack.enter_context(DiskColumn(output, np.uint8, 0, n_records=las.n_records))
-        stream = watched(
-            open_input(source, loaded.config.input, loaded.config.layout),
-            loaded.config.input,
-            refuses=False,
-        )
+        inputs = loaded.config.input
+        stream = watched(open_input(scan, inputs), inputs, refuses=False)
         stop = 0
         info = stream.info
         for block in stream.blocks():
@@ -238,7 +235,7 @@ def _copy_window(
             )
 
         notes = copy_las(las, output, temporary, masks)
-        check_unchanged(source, before)
+        check_unchanged(scan.path, before)
         findings = stream.findings()
         record_of_run = run_record(stream.info, counts, loaded)
         copied = "the records of the window were copied as bytes"
@@ -278,7 +275,7 @@ class OpenedItems:
 
 @contextlib.contextmanager
 def open_items(
-    source: Path,
+    scan: Input,
     output: Path,
     loaded: LoadedConfig,
     *,
@@ -291,14 +288,13 @@ def open_items(
 
     ``blocks_of`` may watch or label the blocks.
     """
-    loaded = with_layout_beside(source, loaded)
-    stream = open_input(source, loaded.config.input, loaded.config.layout)
+    stream = open_input(scan, loaded.config.input)
     blocks = _bare_items(stream.blocks() if blocks_of is None else blocks_of(stream))
     bare = next(blocks, None)
     if bare is None:
-        raise InputError(str(source), "no scan lines, expected at least one", "see prc info")
+        raise InputError(str(scan), "no scan lines, expected at least one", "see prc info")
     first = bare.block
-    records = open_source(source, loaded.config.layout)
+    records = scan.records()
     has = () if records is None else records.dimensions
     class_name = next((name for name in has if codes and name.lower() in NAMES), None)
     axes = axes_of(records, stream, first, loaded.config) if xyz else ()
@@ -313,7 +309,7 @@ def open_items(
             if loaded.config.input.window is None:
                 carried.read_all()
         elif records is None and codes and stream.info.format == "array":
-            carried = _carry_array(source, stream.info, output, stack)
+            carried = _carry_array(scan.path, stream.info, output, stack)
         made_up = None
         if xyz and not axes and first.xyz_m is None and is_cloud(output):
             made_up = lines_apart(stream, loaded.config)
@@ -342,18 +338,18 @@ def _bare_items(blocks: Iterator[ScanBlock] | Iterator[LabelledBlock]) -> Iterat
 
 
 def _carry_array(
-    source: Path,
+    path: Path,
     info: StreamInfo,
     output: Path,
     stack: contextlib.ExitStack,
 ) -> Carried | None:
     """Write the class codes of a range image to a temporary file; None if it has none."""
-    if CLASS not in ArrayFile(source).headers:
+    if CLASS not in ArrayFile(path).headers:
         return None
-    code_source = open_codes(source, CLASS)
+    code_source = open_codes(path, CLASS)
     if code_source.n != info.n_records:
         problem = f"the array {CLASS!r} contains {code_source.n} codes, expected {info.n_records}"
-        raise InputError(str(source), problem, "give it the shape of the ranges, or another name")
+        raise InputError(str(path), problem, "give it the shape of the ranges, or another name")
     kind = np.dtype([("code", "<i4")])
     values = stack.enter_context(DiskColumn(output, kind, (NO_CODE,)))
     for codes in code_source.chunks():

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.config import LoadedConfig, RunConfig, load_config, with_layout_beside
+from prc_cli.config import LoadedConfig, RunConfig, load_config, resolve
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.threads import closing_items
 from prc_cli.core.types import F32, F64, I64
-from prc_cli.formats import open_source
+from prc_cli.formats.input import Input
 from prc_cli.formats.options import Layout
 from prc_cli.formats.records import NO_CODE, RecordChunk, Source
 from prc_cli.formats.writing.columns import (
@@ -189,10 +189,8 @@ def placed_source(
 ) -> PlacedSource:
     """Open a drive as in the record beside its labels, with coordinates from poses and a mount."""
     layout_options = {} if layout is None else {"layout": layout.model_dump()}
-    config = with_layout_beside(
-        drive, load_config(options=reading_beside(labels) | layout_options)
-    ).config
-    reading = config.input
+    scan, loaded = resolve(drive, load_config(options=reading_beside(labels) | layout_options))
+    reading = loaded.config.input
     if len(mount) not in (0, 3, 6) or not all(map(math.isfinite, mount)):
         values = ", ".join(f"{value:g}" for value in mount)
         problem = f"found {values}, expected ROLL,PITCH,YAW or ROLL,PITCH,YAW,X,Y,Z"
@@ -203,7 +201,7 @@ def placed_source(
         kind = reading.range.partition(":")[0]
         problem = f"was read with range = {kind}, so its shots have coordinates"
         raise ConfigError(str(drive), problem, "leave out --trajectory")
-    stream = open_input(drive, reading, config.layout)
+    stream = open_input(scan, reading)
     system = reading.trajectory_crs or stream.info.facts.crs_wkt or crs
     track = load_trajectory(
         trajectory,
@@ -236,7 +234,7 @@ def axes_of(
 
 @contextlib.contextmanager
 def placement(
-    source: Path,
+    scan: Input,
     output: Path,
     loaded: LoadedConfig,
     stream: ScanStream,
@@ -248,7 +246,7 @@ def placement(
     plain = stream.source if isinstance(stream, BeamStream) else stream
     with closing_items(plain.blocks()) as blocks:
         first = next(blocks, None)
-    records = open_source(source, loaded.config.layout)
+    records = scan.records()
     axes = () if first is None else axes_of(records, plain, first, loaded.config)
     if first is not None and first.xyz_m is not None and plain.info.facts.stations:
         yield AtStations(plain.info.facts.stations)

@@ -10,12 +10,11 @@ from pydantic import ValidationError
 from prc_cli.config import LoadedConfig
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import atomic_output, prepare_outputs
-from prc_cli.formats import check_input, open_source
 from prc_cli.formats.clouds.source import CloudSource
 from prc_cli.formats.guessing import MOST_HEADER_BYTES, guess_names, guess_records, range_scale
+from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.records import STANDARD_NAMES
-from prc_cli.formats.registry import is_dump
 from prc_cli.formats.text.read import TextSource
 from prc_cli.jobs.info import Inspection, inspect
 
@@ -39,10 +38,11 @@ def draft(
         The text of the configuration.
     """
     prepare_outputs(output, overwrite=overwrite, inputs=(path, *loaded.files))
-    lines, layout = _layout_lines(path, loaded)
+    scan = Input.of(path, loaded.config.layout)
+    lines, layout = _layout_lines(scan, loaded)
     described = loaded if layout is None else _with_layout(loaded, layout)
     inspection = inspect(path, described)
-    header = None if layout is None else _empty_header(path, layout, inspection)
+    header = None if layout is None else _empty_header(scan, layout, inspection)
     if layout is not None and header is not None:
         lines = [
             line.replace(f"header_bytes = {layout.header_bytes}", f"header_bytes = {header}")
@@ -60,17 +60,17 @@ def draft(
     return text
 
 
-def _empty_header(path: Path, layout: Layout, inspection: Inspection) -> int | None:
+def _empty_header(scan: Input, layout: Layout, inspection: Inspection) -> int | None:
     """Return the length of a header of zeros [bytes]: the surplus over whole lines."""
     m = None if inspection.period is None else inspection.period.points_per_line
     record_bytes = sum(np.dtype(field.type).itemsize for field in layout.fields)
-    if not is_dump(path) or not m or not record_bytes:
+    if not scan.is_dump or not m or not record_bytes:
         return None
-    surplus = (path.stat().st_size - layout.header_bytes) // record_bytes % m
+    surplus = (scan.path.stat().st_size - layout.header_bytes) // record_bytes % m
     header = layout.header_bytes + surplus * record_bytes
     if not surplus or header > MOST_HEADER_BYTES:
         return None
-    with path.open("rb") as handle:
+    with scan.path.open("rb") as handle:
         return None if any(handle.read(header)) else header
 
 
@@ -126,15 +126,15 @@ def _quoted(text: str) -> str:
     )
 
 
-def _layout_lines(path: Path, loaded: LoadedConfig) -> tuple[list[str], Layout | None]:
+def _layout_lines(scan: Input, loaded: LoadedConfig) -> tuple[list[str], Layout | None]:
     """Return the table ``[layout]`` of a dump, a text file or a cloud; empty for other files."""
     if loaded.config.layout is not None and loaded.config.layout.fields:
         return [], None
-    check_input(path)
-    # not after open_source, which reads a dump as float32
-    if is_dump(path) and not path.name.startswith("pulse-"):
-        return _dump_lines(path)
-    source = open_source(path, loaded.config.layout)
+    scan.check()
+    # without a layout a dump would be read as float32
+    if scan.is_dump and not scan.name.startswith("pulse-"):
+        return _dump_lines(scan.path)
+    source = scan.records()
     if isinstance(source, TextSource):
         return _text_lines(source)
     if isinstance(source, CloudSource):

@@ -19,17 +19,17 @@ from prc_cli.core.files import check_unchanged, file_state, make_folder, whole_s
 from prc_cli.core.process import return_memory
 from prc_cli.core.stream import LabelledBlock, ReadTally
 from prc_cli.core.types import I64
-from prc_cli.formats import LAS_SUFFIXES, check_input
+from prc_cli.formats import LAS_SUFFIXES
+from prc_cli.formats.input import Input
 from prc_cli.formats.joined import (
     Break,
+    JoinedInput,
     JoinedRecordings,
     JoinedSource,
-    are_recordings,
     find_break,
-    open_joined,
 )
 from prc_cli.formats.outputs import open_writer, prepare_label_outputs
-from prc_cli.formats.registry import by_suffix, is_cloud, keeps_points
+from prc_cli.formats.registry import by_suffix, is_cloud
 from prc_cli.formats.writing.base import StagedWriter
 from prc_cli.formats.writing.columns import LabelOutput
 from prc_cli.formats.writing.record import fingerprint
@@ -90,26 +90,25 @@ def classify_drive(
             "a window (--only-lines, --only-time, --first) needs a single file",
             "leave it out",
         )
+    scans = [Input.of(part) for part in parts]
     # refuse files that cannot be joined before a folder is made
-    _joined(parts, with_layout_beside(parts[0], config))
-    for part, output in zip(parts, outputs, strict=True):
-        if is_cloud(output) and not keeps_points(part, output):
-            problem = f"{part.name} contains no points: a drive of such files gets only labels"
+    _joined(scans, config)
+    for scan, output in zip(scans, outputs, strict=True):
+        if is_cloud(output) and not scan.keeps_points(output):
+            problem = f"{scan.name} contains no points: a drive of such files gets only labels"
             raise ConfigError(str(output), problem, "write .npy, .csv or .parquet")
         make_folder(output.parent)
-        check_input(part)
     prepare_label_outputs(*outputs, overwrite=overwrite, inputs=(*parts, *config.files))
     summaries: list[RunSummary] = []
     first = 0
     why = ""
     with whole_set():
-        while first < len(parts):
-            loaded = with_layout_beside(parts[first], config)
-            joined, cut = _joined(parts[first:], loaded)
-            stop = len(parts) if cut is None else first + cut.part
+        while first < len(scans):
+            drive, loaded, joined, cut = _joined(scans[first:], config)
+            stop = len(scans) if cut is None else first + cut.part
             note = drive_note([part.name for part in parts])
             run = _StreamRun(
-                tuple(parts[first:stop]),
+                drive.parts[: stop - first],
                 tuple(outputs[first:stop]),
                 (why, note) if why else (note,),
             )
@@ -129,20 +128,25 @@ def classify_drive(
 
 
 def _joined(
-    parts: Sequence[Path], loaded: LoadedConfig
-) -> tuple[JoinedSource | JoinedRecordings, Break | None]:
-    # and the first file that does not continue the file before it
-    if are_recordings(parts):
-        return JoinedRecordings(tuple(parts), loaded.config.input), None
-    joined = open_joined(parts, loaded.config.layout)
-    return joined, find_break(joined, in_order=not sorts_by_itself(joined, loaded.config.input))
+    scans: Sequence[Input], config: LoadedConfig
+) -> tuple[JoinedInput, LoadedConfig, JoinedSource | JoinedRecordings, Break | None]:
+    # files, their configuration, and the first file that does not continue the file before it
+    loaded = with_layout_beside(scans[0], config)
+    layout = loaded.config.layout
+    drive = JoinedInput(tuple(replace(scan, layout=layout) for scan in scans))
+    joined = drive.joined(loaded.config.input)
+    cut = None
+    if isinstance(joined, JoinedSource):
+        in_order = not sorts_by_itself(joined, loaded.config.input)
+        cut = find_break(joined, in_order=in_order)
+    return drive, loaded, joined, cut
 
 
 @dataclass(frozen=True, slots=True)
 class _StreamRun:
     """Classification of the files of one stream."""
 
-    parts: tuple[Path, ...]
+    parts: tuple[Input, ...]
     outputs: tuple[Path, ...]
     notes: tuple[str, ...]
     """Notices: [why a new stream starts with the first file,] one for the record of every file."""
@@ -159,15 +163,10 @@ class _StreamRun:
         loading: Callable[[], AbstractContextManager[None]],
     ) -> Iterator[RunSummary]:
         return_memory()  # before any thread
-        before = [file_state(part) for part in self.parts]
+        before = [file_state(part.path) for part in self.parts]
+        scan = self.parts[0] if len(self.parts) == 1 else JoinedInput(self.parts)
         loaded, opened = open_decided(
-            self.parts[0],
-            loaded,
-            engine,
-            geometry=False,
-            only_ranges=True,
-            loading=loading,
-            parts=self.parts,
+            scan, loaded, engine, geometry=False, only_ranges=True, loading=loading
         )
         needs = loaded.config.classifier.method().needs
         stream = watched(opened, loaded.config.input, needs=needs, others=loaded.findings)
@@ -195,10 +194,10 @@ class _StreamRun:
             divided = DividedWriter(writers, firsts)
             _, findings, notices = write_labels(stream, divided, loaded.config, threads, progress)
             for part, state in zip(self.parts, before, strict=True):
-                check_unchanged(part, state)
+                check_unchanged(part.path, state)
             for number, (part, writer) in enumerate(zip(self.parts, writers, strict=True)):
                 counts = divided.counts[number]
-                record = run_record(stream.info, counts, loaded, fingerprint(part))
+                record = run_record(stream.info, counts, loaded, fingerprint(part.path))
                 notes = (
                     *loaded.notes,
                     *joined.notes(number),

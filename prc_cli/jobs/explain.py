@@ -15,15 +15,15 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from prc_cli.config import LoadedConfig, MethodChoice, RunConfig, refuse_window
+from prc_cli.config import LoadedConfig, MethodChoice, RunConfig, refuse_window, resolve
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.threads import close_items, default_threads
 from prc_cli.core.window import Window
-from prc_cli.formats import check_input
+from prc_cli.formats.input import Input
 from prc_cli.jobs.choice import decide
-from prc_cli.jobs.classify import Progress, label_blocks, load_classifier, open_stream
+from prc_cli.jobs.classify import Progress, label_blocks, load_classifier, open_for_method
 from prc_cli.jobs.progress import advance
 from prc_cli.methods.base import Wanted
 from prc_cli.methods.reasons import Rule, rule_of
@@ -101,21 +101,20 @@ def explain(
     InputError
         If the input has no such shot.
     """
-    source = Path(source)
     if line < 0 or column < 0:
         problem = f"found {line},{column}, expected LINE,COLUMN, counted from 0"
         raise ConfigError("--at", problem)
-    loaded = LoadedConfig.of(config)
+    scan, loaded = resolve(source, config)
     refuse_window(loaded.config, "prc explain")
-    check_input(source)
-    loaded = decide(source, loaded)
+    scan.check()
+    loaded = decide(scan, loaded)
     with loading():
         load_classifier(loaded)
-    item = _find(source, loaded, line, scanner, progress)
+    item = _find(scan, loaded, line, scanner, progress)
     block = item.block
     if column >= block.points_per_line:
         problem = f"found column {column}, expected 0 to {block.points_per_line - 1}"
-        raise InputError(str(source), problem, "prc info prints the number of shots per line")
+        raise InputError(str(scan), problem, "prc info prints the number of shots per line")
     cell = line - block.first_line, column
     assert item.reasons is not None
     label = Label(int(item.labels[cell]))
@@ -127,7 +126,7 @@ def explain(
         else {name: _plain(image[cell]) for name, image in item.measures.items()}
     )
     return Explanation(
-        path=str(source),
+        path=str(scan),
         line=line,
         column=column,
         scanner=block.scanner,
@@ -148,7 +147,7 @@ def explain(
 
 
 def _find(
-    source: Path,
+    scan: Input,
     loaded: LoadedConfig,
     line: int,
     scanner: int | None,
@@ -157,7 +156,7 @@ def _find(
     """Classify up to the line; return its block."""
     last = -1
     seen = set[int]()
-    stream = open_stream(source, loaded)
+    stream = open_for_method(scan, loaded.config)
     to_line = Window("--at", True, 0.0, line + 1.0)
     wanted = Wanted(stages=True, reasons=True, measures=True)
     labelled = label_blocks(
@@ -180,7 +179,7 @@ def _find(
         problem = (
             f"found scanners {', '.join(map(str, sorted(seen))) or 'none'}, expected {scanner}"
         )
-    raise InputError(str(source), problem, "prc info prints the number of lines")
+    raise InputError(str(scan), problem, "prc info prints the number of lines")
 
 
 def _plain(value: Any) -> Any:

@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.config import LoadedConfig, MethodChoice
+from prc_cli.config import LoadedConfig, MethodChoice, resolve
 from prc_cli.core.brief import finite
 from prc_cli.core.errors import ConfigError, EvidenceError, InputError
 from prc_cli.core.facts import SourceFacts
-from prc_cli.core.files import suffix_of
 from prc_cli.core.findings import (
     CHECK_NAMES,
     LABEL_CHECKS,
@@ -26,8 +25,8 @@ from prc_cli.core.findings import (
 )
 from prc_cli.core.stream import Assumption, ReadTally, ScanStream
 from prc_cli.core.types import F32
-from prc_cli.formats import LAS_SUFFIXES, open_source
 from prc_cli.formats.clock import with_clock
+from prc_cli.formats.input import Input
 from prc_cli.formats.las.vlrs import names_of_file
 from prc_cli.formats.options import InputConfig, parse_rate
 from prc_cli.formats.records import (
@@ -184,12 +183,18 @@ def inspect(
     checks_path
         Compare the given trajectory with the path that is found from the points.
     """
+    scan, loaded = resolve(path, loaded)
     if checks_path:
-        return _with_comparisons(path, loaded, deep=deep)
-    loaded, opened = decide_and_open(path, loaded, trust_order=True)
+        return _with_comparisons(scan, loaded, deep=deep)
+    return _inspect_for_method(scan, loaded, deep=deep)
+
+
+def _inspect_for_method(scan: Input, loaded: LoadedConfig, *, deep: bool) -> Inspection:
+    """Choose the method if none is named, and describe the input for it."""
+    loaded, opened = decide_and_open(scan, loaded, trust_order=True)
     if deep:
-        _decode(path, loaded)
-    inspection = _inspect(path, loaded, opened)
+        _decode(scan)
+    inspection = _inspect(scan, loaded, opened)
     choice = loaded.choice
     assumptions = (
         inspection.assumptions if choice is None else (choice.assumption, *inspection.assumptions)
@@ -203,14 +208,13 @@ def inspect(
     )
 
 
-def _with_comparisons(path: Path, loaded: LoadedConfig, *, deep: bool) -> Inspection:
+def _with_comparisons(scan: Input, loaded: LoadedConfig, *, deep: bool) -> Inspection:
     """Describe a file and its trajectory, also a refused one: the path may show why."""
-    drive, comparisons, finding = hold_against(path, loaded)
+    drive, comparisons, finding = hold_against(scan, loaded)
     try:
-        inspection = inspect(path, loaded, deep=deep)
+        inspection = _inspect_for_method(scan, loaded, deep=deep)
     except InputError as refusal:
-        source = open_source(path, loaded.config.layout)
-        inspection = _describe(path, source, None, None, refusal, judged=False)
+        inspection = _describe(scan, scan.records(), None, None, refusal, judged=False)
     (finding,) = accept([finding], loaded.config.input.accept_doubts or ())
     inspection = replace(
         inspection, drive=drive, comparisons=comparisons, findings=(finding, *inspection.findings)
@@ -224,19 +228,19 @@ def _with_comparisons(path: Path, loaded: LoadedConfig, *, deep: bool) -> Inspec
     )
 
 
-def _decode(path: Path, loaded: LoadedConfig) -> None:
+def _decode(scan: Input) -> None:
     """Decode every byte of a file of records."""
-    source = open_source(path, loaded.config.layout)
+    source = scan.records()
     if source is not None:
         source.facts.check_layers()
         for _ in source.chunks(source.dimensions):
             pass
 
 
-def _inspect(path: Path, loaded: LoadedConfig, opened: ScanStream | None = None) -> Inspection:
-    source = open_source(path, loaded.config.layout)
+def _inspect(scan: Input, loaded: LoadedConfig, opened: ScanStream | None = None) -> Inspection:
+    source = scan.records()
     source = None if source is None else with_clock(source, loaded.config.input.time_unit)
-    stream, refusal = _try_open(path, loaded) if opened is None else (opened, None)
+    stream, refusal = _try_open(scan, loaded) if opened is None else (opened, None)
     judged = loaded.config.input.order == "require" and (
         source is None or not sorts_by_itself(source, loaded.config.input)
     )
@@ -247,13 +251,13 @@ def _inspect(path: Path, loaded: LoadedConfig, opened: ScanStream | None = None)
         )
     if source is None:
         if stream is None:
-            raise refusal if refusal is not None else InputError(str(path), "cannot be opened")
-        return _describe(path, None, stream, _line_order(stream), refusal, judged=judged)
-    contents = Contents(class_names=names_of_file(path) if suffix_of(path) in LAS_SUFFIXES else {})
+            raise refusal if refusal is not None else InputError(str(scan), "cannot be opened")
+        return _describe(scan, None, stream, _line_order(stream), refusal, judged=judged)
+    contents = Contents(class_names=names_of_file(scan.path) if scan.is_las else {})
     order = _time_order(source, contents)
     if stream is not None and _fires_in_turns(stream):
         order = _line_order(stream)
-    inspection = _inspect_records(path, loaded, source, stream, refusal, order)
+    inspection = _inspect_records(scan, loaded, source, stream, refusal, order)
     drive = None
     if stream is not None and loaded.config.input.range == "points":
         drive = drive_of(stream)
@@ -261,7 +265,7 @@ def _inspect(path: Path, loaded: LoadedConfig, opened: ScanStream | None = None)
 
 
 def _inspect_records(
-    path: Path,
+    scan: Input,
     loaded: LoadedConfig,
     source: Source,
     stream: ScanStream | None,
@@ -275,11 +279,11 @@ def _inspect_records(
     if stream is None and is_timed_cloud(source, loaded.config.input):
         # prc computes a path from points only if the user asks for it
         lines = None if only_times_tell(source) else _lines_only(source, loaded.config.input)
-        unread = _describe(path, source, lines, order, refusal, judged=False, with_ranges=False)
+        unread = _describe(scan, source, lines, order, refusal, judged=False, with_ranges=False)
         return replace(unread, problem=NO_RANGES, hint=POINTS_HINT, missing=(POINTS,))
     if stream is None:
         inspection = _describe(
-            path,
+            scan,
             source,
             _lines_only(source, loaded.config.input),
             order,
@@ -289,7 +293,7 @@ def _inspect_records(
         )
         if "range" in source.dimensions:
             inspection = _with_estimate(
-                path, loaded, inspection, estimate_points_per_line(first_ranges(source))
+                scan, loaded, inspection, estimate_points_per_line(first_ranges(source))
             )
         inputs = loaded.config.input
         is_asked = inputs.lines == "auto" or (
@@ -305,7 +309,7 @@ def _inspect_records(
         ):
             inspection = _with_rates(inspection, source, loaded.config.input)
         return inspection
-    described = _describe(path, source, stream, order, refusal, judged=judged)
+    described = _describe(scan, source, stream, order, refusal, judged=judged)
     described = _with_other_rates(described, source, loaded.config.input)
     if described.problem or not judged or described.facts is None:
         return described
@@ -313,7 +317,7 @@ def _inspect_records(
     if not (tally.n_time_steps_back or tally.n_unplaced or tally.n_collisions):
         return described
     # so far the order was trusted; prc classify may refuse it
-    error = _refusal_of(path, loaded)
+    error = _refusal_of(scan, loaded)
     return (
         described if error is None else replace(described, problem=error.problem, hint=error.hint)
     )
@@ -379,7 +383,7 @@ def _measured_rates(source: Source) -> TimedScan | None:
 
 
 def _with_estimate(
-    path: Path,
+    scan: Input,
     loaded: LoadedConfig,
     refused: Inspection,
     period: PeriodEstimate,
@@ -397,7 +401,7 @@ def _with_estimate(
     estimated = inputs.model_copy(update={"points_per_line": estimate})
     try:
         tried = _inspect(
-            path, replace(loaded, config=loaded.config.model_copy(update={"input": estimated}))
+            scan, replace(loaded, config=loaded.config.model_copy(update={"input": estimated}))
         )
     except InputError:
         return refused
@@ -409,10 +413,10 @@ def _with_estimate(
     )
 
 
-def _refusal_of(path: Path, loaded: LoadedConfig) -> InputError | None:
+def _refusal_of(scan: Input, loaded: LoadedConfig) -> InputError | None:
     """Read the input as ``prc classify`` does; return the error if it is refused."""
     try:
-        for _ in open_input(path, loaded.config.input, loaded.config.layout).blocks():
+        for _ in open_input(scan, loaded.config.input).blocks():
             pass
     except InputError as error:
         return error
@@ -420,13 +424,13 @@ def _refusal_of(path: Path, loaded: LoadedConfig) -> InputError | None:
 
 
 def _try_open(
-    path: Path, loaded: LoadedConfig
+    scan: Input, loaded: LoadedConfig
 ) -> tuple[ScanStream | None, InputError | ConfigError | None]:
     """Open a stream as ``prc classify``, but count breaks of the order; without refused beams."""
     try:
-        inputs = trusting(open_source(path, loaded.config.layout), loaded.config.input)
+        inputs = trusting(scan.records(), loaded.config.input)
         # as in prc classify, values that the method does not need are not read and not checked
-        stream = open_input(path, inputs, loaded.config.layout, geometry=loaded.config.needs_beams)
+        stream = open_input(scan, inputs, geometry=loaded.config.needs_beams)
     except (InputError, ConfigError) as refusal:
         return None, refusal
     if not loaded.config.needs_beams:
@@ -443,7 +447,7 @@ def _try_open(
 
 
 def _describe(
-    path: Path,
+    scan: Input,
     source: Source | None,
     stream: ScanStream | None,
     order: OrderEvidence | None,
@@ -463,7 +467,7 @@ def _describe(
             if order is None or order.is_chronological:
                 raise
     findings = stream.findings() if isinstance(stream, EvidenceStream) and with_ranges else ()
-    problem, hint = _verdict(path, order, findings, refusal, judged=judged)
+    problem, hint = _verdict(scan, order, findings, refusal, judged=judged)
     info = None if stream is None else stream.info
     source_facts = SourceFacts()
     file_format = ""
@@ -477,8 +481,8 @@ def _describe(
         file_format = source.format
         n_records = n_records if source.n_records is None else source.n_records
     return Inspection(
-        path=str(path),
-        size=path.stat().st_size,
+        path=str(scan),
+        size=scan.path.stat().st_size,
         format=file_format,
         n_records=n_records,
         dimensions=() if source is None else source.dimensions,
@@ -497,7 +501,7 @@ def _describe(
 
 
 def _verdict(
-    path: Path,
+    scan: Input,
     order: OrderEvidence | None,
     findings: tuple[Finding, ...],
     refusal: InputError | ConfigError | None,
@@ -506,7 +510,7 @@ def _verdict(
 ) -> tuple[str, str]:
     if judged and order is not None and not order.is_chronological:
         problem = f"not in the order the shots were fired: {order.sentence()}"
-        return problem, order_hint(order, str(path), can_sort=order.what != "time_s")
+        return problem, order_hint(order, str(scan), can_sort=order.what != "time_s")
     if refusal is not None:
         return refusal.problem, refusal.hint
     try:

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from prc_cli.config import LoadedConfig
+from prc_cli.config import LoadedConfig, resolve
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import atomic_output, check_output, prepare_outputs, whole_set
 from prc_cli.core.findings import Finding, Verdict, accept, doubts, refuse
-from prc_cli.formats import open_source
 from prc_cli.formats.clock import with_clock
+from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import Source
 from prc_cli.formats.systems import in_metres, refuse_degrees
@@ -86,7 +86,7 @@ def save_path(
     findings = accept(drive.findings, loaded.config.input.accept_doubts or ())
     refuse(str(path), findings)
     paths = scanner_paths(drive)
-    crs_wkt = _source(path, loaded).facts.crs_wkt
+    crs_wkt = _source(resolve(path, loaded)[0], loaded).facts.crs_wkt
     inputs = loaded.config.input
     scale = np.array(metres_of(inputs, crs_wkt))[[0, 0, 1]]
     names = [output]
@@ -124,17 +124,17 @@ def _write(
         raise ConfigError(error.where, error.problem, f"give {system}, or write .csv") from None
 
 
-def _source(path: Path, loaded: LoadedConfig) -> Source:
-    source = open_source(path, loaded.config.layout)
+def _source(scan: Input, loaded: LoadedConfig) -> Source:
+    source = scan.records()
     if source is None:
         raise InputError(
-            str(path), "contains no points with coordinates and times", "give a registered cloud"
+            str(scan), "contains no points with coordinates and times", "give a registered cloud"
         )
     return with_clock(source, loaded.config.input.time_unit)
 
 
 def hold_against(
-    path: Path, loaded: LoadedConfig
+    scan: Input, loaded: LoadedConfig
 ) -> tuple[Drive | SpinningDrive, tuple[Comparison, ...], Finding]:
     """Find the path of every scanner from the points, and compare the given trajectory with it.
 
@@ -147,7 +147,7 @@ def hold_against(
     if not inputs.range.startswith(_KIND):
         problem = f"found range = {inputs.range}, expected a trajectory to compare"
         raise ConfigError("--check-path", problem, "give --range trajectory:FILE")
-    source = _source(path, loaded)
+    source = _source(scan, loaded)
     refuse_degrees(source)
     trajectory = _positions(source, inputs)
     only_points: dict[str, object] = {
@@ -157,7 +157,7 @@ def hold_against(
         "points_per_line": None,
     }
     cloud, _, _ = with_points(in_metres(source), inputs.model_copy(update=only_points))
-    refuse(str(path), cloud.drive.findings)
+    refuse(str(scan), cloud.drive.findings)
     comparisons = tuple(
         compare(path_found, trajectory) for path_found in scanner_paths(cloud.drive)
     )

@@ -8,10 +8,9 @@ the lines, by number or by time, read no farther than to their end.
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -20,8 +19,8 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.stream import Assumption, ScanBlock, ScanStream, StreamInfo, cut
 from prc_cli.core.types import F64
 from prc_cli.core.window import Window
-from prc_cli.formats import open_images, open_source
-from prc_cli.formats.joined import are_recordings, open_joined, open_recordings
+from prc_cli.formats.input import Input
+from prc_cli.formats.joined import JoinedInput
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.ranges import refuse_scale
 from prc_cli.formats.systems import in_metres, refuse_degrees
@@ -34,24 +33,20 @@ if TYPE_CHECKING:
 
 
 def open_input(
-    path: Path,
+    scan: Input | JoinedInput,
     config: InputConfig,
-    layout: Layout | None = None,
     *,
     lines_at_once: int = 1,
     geometry: bool = True,
     only_ranges: bool = False,
     with_intensity: bool = False,
-    parts: Sequence[Path] = (),
 ) -> ScanStream:
-    """Open an input file, or the files of one drive as ``parts``, as a stream of blocks.
+    """Open an input, or the files of one drive, as a stream of blocks.
 
     With ``only_ranges`` blocks of records have no times, and intensities only ``with_intensity``.
     """
-    is_recorded = len(parts) > 1 and are_recordings(parts)
-    source = None
-    if not is_recorded:
-        source = open_source(path, layout) if len(parts) < 2 else open_joined(parts, layout)
+    source = scan.records()
+    layout = scan.layout
     config = with_layout(config, layout)
     # times say where a window is
     only_ranges = only_ranges and (config.window is None or config.window.in_lines)
@@ -59,12 +54,9 @@ def open_input(
     if source is None:
         from prc_cli.streams.order import WatchedStream
 
-        if is_recorded:
-            images = open_recordings(parts, config)
-        else:
-            images = open_images(path, config, lines_at_once=lines_at_once)
+        images = scan.images(config, lines_at_once=lines_at_once)
         if images.info.format not in ("array", "bag"):
-            refuse_scale(config, str(path), "its ranges are metres")
+            refuse_scale(config, str(scan), "its ranges are metres")
         return windowed(WatchedStream(images, config.order), config)
     implied = source.facts.rule("lines")
     if config.lines == "rings" or (

@@ -16,6 +16,7 @@ import prc_cli
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.hints import fitting, fitting_finding, named_keys
+from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.open import open_input
 from tests.formats.bags import recordings as made
@@ -79,13 +80,13 @@ def make_frame(path: Path) -> Path:
 
 def open_sample(path: Path, **changes: object) -> frozenset[str]:
     """Read a sample with a key; return what it says that it refuses."""
-    from prc_cli.config import load_config, with_layout_beside
+    from prc_cli.config import resolve
 
-    loaded = with_layout_beside(path, load_config())
+    scan, loaded = resolve(path)
     config = InputConfig.model_validate(
         {**loaded.config.input.model_dump(by_alias=True), **changes}
     )
-    stream = open_input(path, config, loaded.config.layout)
+    stream = open_input(scan, config)
     for _ in stream.blocks():
         pass
     return stream.info.facts.refuses
@@ -156,6 +157,6 @@ def test_a_hint_keeps_the_parts_that_can_be_typed() -> None:
 
 def test_a_bag_in_millimetres_is_read_with_the_scale_that_is_offered(tmp_path: Path) -> None:
     path = make_sample(tmp_path, "cloud.bag")
-    whole = next(open_input(path, InputConfig()).blocks())
-    scaled = next(open_input(path, InputConfig(range_scale=0.5)).blocks())
+    whole = next(open_input(Input.of(path), InputConfig()).blocks())
+    scaled = next(open_input(Input.of(path), InputConfig(range_scale=0.5)).blocks())
     np.testing.assert_allclose(scaled.range_m, whole.range_m * np.float32(0.5), rtol=1e-6)

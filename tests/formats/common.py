@@ -18,6 +18,7 @@ from prc_cli.core.stream import (
     StageLabels,
 )
 from prc_cli.core.types import F32, I64, U8
+from prc_cli.formats.input import Input
 from prc_cli.formats.outputs import open_writer
 from prc_cli.formats.writing.base import StagedWriter
 from prc_cli.formats.writing.columns import LabelOutput
@@ -92,7 +93,7 @@ def record_blocks(
 
 def writer(path: Path, source: Path, *, overwrite: bool = False, **changes: Any) -> StagedWriter:
     output = LabelOutput(
-        path=path, source=source, n_records=None, points_per_line=20, codes=ClassCodes()
+        path=path, source=Input.of(source), n_records=None, points_per_line=20, codes=ClassCodes()
     )
     return open_writer(replace(output, **changes), overwrite=overwrite)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from prc_cli.core.errors import InputError
-from prc_cli.formats import check_input
+from prc_cli.formats.input import Input
 
 
 @pytest.mark.parametrize(
@@ -33,5 +33,5 @@ def test_the_maker_and_the_export_are_named(
     path = tmp_path / name
     path.write_bytes(b"1234")
     with pytest.raises(InputError) as caught:
-        check_input(path)
+        Input.of(path).check()
     assert all(word in caught.value.hint for word in words)

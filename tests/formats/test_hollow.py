@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.errors import InputError
-from prc_cli.formats import check_input
+from prc_cli.formats.input import Input
 
 
 def test_a_copy_that_never_ended_is_refused(tmp_path: Path) -> None:
@@ -21,4 +21,4 @@ def test_a_copy_that_never_ended_is_refused(tmp_path: Path) -> None:
     if getattr(path.stat(), "st_blocks", 1 << 40) * 512 > 1 << 20:
         pytest.skip("this file system has no holes")
     with pytest.raises(InputError, match="the disk stores almost none of its"):
-        check_input(path)
+        Input.of(path).check()

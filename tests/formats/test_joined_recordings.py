@@ -10,7 +10,8 @@ import pytest
 from prc_cli.config import load_config
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import InputError
-from prc_cli.formats.joined import JoinedRecordings, are_recordings, open_recordings
+from prc_cli.formats.input import Input
+from prc_cli.formats.joined import JoinedInput, JoinedRecordings
 from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.drive import classify_drive
 from tests.formats.bags import recordings as bags
@@ -23,13 +24,14 @@ def check_joined(whole: Path, parts: list[Path]) -> list[int]:
 
     Return the first record of every file.
     """
-    assert are_recordings(parts)
+    drive = JoinedInput(tuple(Input.of(part) for part in parts))
+    assert drive.are_recordings
     config = InputConfig()
-    expected = join(list(open_recordings([whole], config).blocks()))
-    joined = join(list(open_recordings(parts, config).blocks()))
+    expected = join(list(Input.of(whole).images(config).blocks()))
+    joined = join(list(drive.images(config).blocks()))
     np.testing.assert_array_equal(joined.range_m, expected.range_m)
     np.testing.assert_array_equal(joined.records(), expected.records())
-    firsts = JoinedRecordings(tuple(parts), config).firsts()
+    firsts = JoinedRecordings(drive.parts, config).firsts()
     assert firsts[-1] == expected.tally.n_records
     return firsts
 

@@ -14,6 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from prc_cli.cli import cli
+from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.registry import by_suffix, formats
 from prc_cli.formats.testing import check_damage, check_reads, check_round_trip
@@ -125,7 +126,7 @@ def run(*words: object) -> str:
 
 def test_the_line_frequency_of_a_header_gives_the_times_of_a_window(toy: Path) -> None:
     config = InputConfig(first="1s")
-    stream = open_input(toy, config)
+    stream = open_input(Input.of(toy), config)
     assert stream.info.line_hz == 50.0
     assert sum(block.n_lines for block in stream.blocks()) == 50
 

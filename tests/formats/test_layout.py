@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from prc_cli.config import load_config, with_layout_beside
+from prc_cli.config import resolve
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ReadTally
 from prc_cli.formats.guessing import FRAME_FIELDS, frame_fields
@@ -293,7 +293,7 @@ def test_frames_of_the_usual_layouts_are_known(tmp_path: Path, n_fields: int) ->
     frame[::50, :3] = np.nan
     frame.tofile(path)
     assert frame_fields(path) == FRAME_FIELDS[:n_fields]
-    fields = with_layout_beside(path, load_config()).config.layout
+    fields = resolve(path)[1].config.layout
     assert fields is not None
     assert len(fields.fields) == n_fields
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prc_cli.formats import open_source
+from prc_cli.formats.input import Input
 from prc_cli.formats.las import laz
 from prc_cli.formats.las.header import find_points_per_line, open_bytes, read_header
 from prc_cli.formats.las.laz import LazRecords
@@ -134,7 +134,7 @@ def test_batches_hold_every_record_once(
 
 
 def counted(path: Path) -> Contents:
-    source = open_source(path)
+    source = Input.of(path).records()
     contents = Contents()
     assert source is not None
     for _ in watched_contents(source, contents):

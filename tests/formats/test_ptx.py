@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from prc_cli.core.blocks import join
-from prc_cli.core.errors import InputError, PrcError
+from prc_cli.core.errors import PrcError
 from prc_cli.core.stream import ScanBlock, ScanStream
-from prc_cli.formats import check_input, scan_file
 from prc_cli.formats.echopulse import EchoPulseSource
+from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised import e57_read, ptx
 from prc_cli.formats.organised.ptx import PtxStream
@@ -72,7 +72,7 @@ def equal(a: Any, b: Array) -> bool:
 
 def test_columns_are_lines_and_zeros_are_missing(tmp_path: Path) -> None:
     points = grid_points(9, 7)
-    stream = open_input(write_text(tmp_path / "a.PTX", ptx_scan(points)), AUTO)
+    stream = open_input(Input.of(write_text(tmp_path / "a.PTX", ptx_scan(points))), AUTO)
     (block,) = scans_of(stream)
     info = stream.info
     assert (info.format, info.n_records, info.n_lines, info.points_per_line) == ("PTX", 63, 9, 7)
@@ -227,7 +227,7 @@ def test_a_file_that_shrinks_while_it_is_read_is_an_error(tmp_path: Path) -> Non
 
 @pytest.mark.data
 def test_a_real_file_with_colour(real_data: Path) -> None:
-    stream = open_input(real_data / "organised" / "1.2-with-color.ptx", AUTO)
+    stream = open_input(Input.of(real_data / "organised" / "1.2-with-color.ptx"), AUTO)
     (block,) = scans_of(stream)
     assert block.range_m.shape == (15, 71)
     assert not np.isnan(block.range_m).any()
@@ -239,7 +239,9 @@ def peak_bytes(path: Path) -> int:
     """Most memory held while a file is opened and read."""
     tracemalloc.start()
     try:
-        assert sum(block.n_lines for block in open_input(path, InputConfig()).blocks()) > 0
+        assert (
+            sum(block.n_lines for block in open_input(Input.of(path), InputConfig()).blocks()) > 0
+        )
         return tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -271,7 +273,7 @@ def test_memory_does_not_grow_with_the_file(
 @pytest.mark.data
 def test_the_sample_of_3dtk(real_data: Path) -> None:
     rules = InputConfig(points_per_line=360, range="sensor-xyz", max_range=32.7)
-    stream = open_input(real_data / "organised" / "scan000.3d", rules)
+    stream = open_input(Input.of(real_data / "organised" / "scan000.3d"), rules)
     block = join(list(stream.blocks()))
     assert block.range_m.shape == (226, 360)
     assert np.isnan(block.range_m).sum() == 1481
@@ -283,9 +285,9 @@ ECHOES = "echo-float32-range.bin"
 
 def test_the_folder_names_the_file_to_give(tmp_path: Path) -> None:
     pulse_folder(tmp_path / "p")
-    assert scan_file(tmp_path / "p") == tmp_path / "p" / "pulse-uint8-n_echo.bin"
-    with pytest.raises(InputError, match="name the file in it: .*pulse-uint8-n_echo.bin"):
-        check_input(tmp_path / "p")
+    scan = Input.of(tmp_path / "p")
+    assert scan.path == tmp_path / "p" / "pulse-uint8-n_echo.bin"
+    scan.check()
 
 
 def test_a_shot_without_return_that_meets_another_is_no_return(
@@ -309,7 +311,7 @@ def test_a_shot_without_return_that_meets_another_is_no_return(
 @pytest.mark.data
 def test_the_standing_car(real_data: Path) -> None:
     folder = real_data / "echopulse"
-    stream = open_input(folder / "pulse-uint8-n_echo.bin", InputConfig())
+    stream = open_input(Input.of(folder / "pulse-uint8-n_echo.bin"), InputConfig())
     blocks = list(stream.blocks())
     shots = sum(int(np.isfinite(block.range_m).sum()) for block in blocks)
     tally = sum((block.tally for block in blocks[1:]), blocks[0].tally)

@@ -14,6 +14,7 @@ import numpy as np
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.errors import PrcError
 from prc_cli.core.stream import LabelledBlock
+from prc_cli.formats.input import Input
 from prc_cli.jobs.classify import label_blocks
 from prc_cli.streams.open import open_input
 
@@ -79,7 +80,7 @@ def _items(path: Path) -> list[LabelledBlock]:
     """Classify a file in memory, reading no more of it than the command does."""
     rules = _config().config.input
     classifier = _config().config.classifier
-    stream = open_input(path, rules, lines_at_once=2, geometry=False, only_ranges=True)
+    stream = open_input(Input.of(path), rules, lines_at_once=2, geometry=False, only_ranges=True)
     return list(label_blocks(stream.blocks(), classifier))
 
 

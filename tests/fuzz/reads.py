@@ -11,7 +11,7 @@ from prc_cli.config import load_config
 from prc_cli.core.config import build, read_toml
 from prc_cli.core.errors import PrcError
 from prc_cli.evaluation.mapping import load_mapping
-from prc_cli.formats import open_source
+from prc_cli.formats.input import Input
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.tables.read import open_table
@@ -26,7 +26,7 @@ from tests.fuzz.seeds import LAYOUT
 
 def blocks(path: Path, layout: Layout | None = None, **options: object) -> None:
     """Read records, blocks and class codes of an archive file."""
-    source = open_source(path, layout)
+    source = Input.of(path, layout).records()
     if source is not None:
         for chunk in source.chunks(source.dimensions):
             del chunk
@@ -35,7 +35,7 @@ def blocks(path: Path, layout: Layout | None = None, **options: object) -> None:
     for rules in ({}, fixed, {**fixed, "partial_line": "pad", "range": "origin:0,0,2"}):
         try:
             for block in open_input(
-                path, InputConfig(order="trust", **options, **rules), layout
+                Input.of(path, layout), InputConfig(order="trust", **options, **rules)
             ).blocks():
                 del block
         except PrcError as error:

@@ -18,8 +18,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from prc_cli.core.errors import PrcError
-from prc_cli.formats import check_input, open_images, open_source
 from prc_cli.formats.arrays.rows import ArrayFile
+from prc_cli.formats.input import Input
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.registry import by_suffix
@@ -189,7 +189,9 @@ def test_every_cut_is_refused_or_read(tmp_path: Path, name: str) -> None:
         path.write_bytes(data[:edge])
         try:
             source = (
-                open_source(path) if path.suffix != ".label" and path.suffix != ".parquet" else None
+                Input.of(path).records()
+                if path.suffix != ".label" and path.suffix != ".parquet"
+                else None
             )
             for chunk in source.chunks(source.dimensions) if source is not None else ():
                 assert chunk.n
@@ -211,7 +213,7 @@ def test_every_cut_recording_is_refused_or_read(tmp_path: Path, name: str) -> No
     for edge in (*range(len(data) // 9, len(data), len(data) // 9), len(data) - 1, len(data)):
         path.write_bytes(data[:edge])
         try:
-            stream = open_images(path, InputConfig())
+            stream = Input.of(path).images(InputConfig())
             n_lines = sum(block.n_lines for block in stream.blocks())
             lengths.append(
                 (n_lines, any("read up to there" in note for note in stream.info.facts.notes))
@@ -273,4 +275,4 @@ def test_other_things_than_files_are_refused(tmp_path: Path) -> None:
         link.unlink(missing_ok=True)
         link.symlink_to(name)
         with pytest.raises(PrcError, match="not a regular file|is a folder"):
-            check_input(link)
+            Input.of(link).check()

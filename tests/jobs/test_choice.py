@@ -13,6 +13,7 @@ from prc_cli import load_config
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.threads import read_ahead
+from prc_cli.formats.input import Input
 from prc_cli.jobs.choice import choose
 from prc_cli.streams.open import open_input
 from tests.methods.fused.street_lines import BEAM, street_lines
@@ -45,7 +46,7 @@ def test_threads_of_readers_end_with_the_choice(tmp_path: Path, fails: bool) -> 
     path = tmp_path / "street.npz"
     np.savez(path, range_m=street_lines(30)[0], angle_deg=np.rad2deg(BEAM))
     config = load_config().config
-    stream = ThreadedStream(open_input(path, config.input, None, lines_at_once=8), fails=fails)
+    stream = ThreadedStream(open_input(Input.of(path), config.input, lines_at_once=8), fails=fails)
     before = threading.active_count()
     choice, _ = choose(stream, config)
     assert threading.active_count() == before

@@ -15,7 +15,7 @@ from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ScanBlock
-from prc_cli.formats import open_source
+from prc_cli.formats.input import Input
 from prc_cli.jobs.classify import classify, label_blocks, open_stream
 from prc_cli.jobs.convert import convert
 from tests.street import LINE_HZ, POINTS_PER_LINE, angles, street
@@ -80,7 +80,7 @@ XYZ = ("x", "y", "z")
 
 def cloud(path: Path) -> Any:
     """x, y, z of the points of a file, those without coordinates left out."""
-    records = open_source(path)
+    records = Input.of(path).records()
     assert records is not None
     parts = [
         np.stack([chunk.values[axis] for axis in XYZ], axis=1) for chunk in records.chunks(XYZ)

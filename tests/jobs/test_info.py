@@ -10,6 +10,7 @@ import pytest
 
 from prc_cli.config import load_config
 from prc_cli.core.errors import OrderError
+from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.info import inspect
 from prc_cli.streams.open import open_input
@@ -81,6 +82,6 @@ def test_a_tile_without_times_has_lost_its_order(
     assert inspection.problem.startswith("the file has no times, scan lines or ranges")
     assert "--trust-order" in inspection.hint
     with pytest.raises(OrderError, match="the order of the shots is lost"):
-        open_input(tmp_path / "tile.csv", InputConfig(**input_options))
+        open_input(Input.of(tmp_path / "tile.csv"), InputConfig(**input_options))
     if input_options:
-        open_input(tmp_path / "tile.csv", InputConfig(order="trust", **input_options))
+        open_input(Input.of(tmp_path / "tile.csv"), InputConfig(order="trust", **input_options))

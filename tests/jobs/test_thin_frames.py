@@ -15,9 +15,9 @@ from prc_cli import DoubtWarning, classify
 from prc_cli.config import load_config
 from prc_cli.core.errors import ConfigError, InputError, OutputError, OutputExistsError
 from prc_cli.core.findings import CHECK_NAMES
-from prc_cli.formats import open_source
 from prc_cli.formats.bags.containers import Bag
 from prc_cli.formats.bags.labels import CloudCodec
+from prc_cli.formats.input import Input
 from prc_cli.jobs.thin import parse_rules, thin
 from tests.formats.bags.test_labels import WRITE, read_codes, recorded
 from tests.jobs.test_thin import frame
@@ -167,7 +167,7 @@ def test_points_of_frames_keep_their_times_and_rings(tmp_path: Path, suffix: str
     np.save(tmp_path / "labels.npy", codes)
     thin(source, tmp_path / f"thin{suffix}", GROUND, labels=tmp_path / "labels.npy")
     left = (codes == 2) & ~np.isnan(rows["x"])
-    thinned = open_source(tmp_path / f"thin{suffix}")
+    thinned = Input.of(tmp_path / f"thin{suffix}").records()
     assert thinned is not None
     assert set(thinned.dimensions) == {*(name for name, _ in kinds), "class"}
     thinned_values = {

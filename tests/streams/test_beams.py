@@ -16,6 +16,7 @@ from prc_cli.core.errors import InputError, PrcError
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F32, F64
+from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.choice import choose
 from prc_cli.jobs.classify import classify, open_stream
@@ -153,15 +154,15 @@ def test_zenith_angles_and_coordinates_of_arrays(tmp_path: Path) -> None:
     assert block.xyz_m is not None
     path = tmp_path / "scan.npz"
     np.savez(path, range_m=block.range_m, zenith_deg=180.0 - np.rad2deg(true))
-    info = open_input(path, AUTO).info
+    info = open_input(Input.of(path), AUTO).info
     assert info.down_rad == np.pi
-    (read,) = with_beams(open_input(path, AUTO), AUTO).blocks()
+    (read,) = with_beams(open_input(Input.of(path), AUTO), AUTO).blocks()
     assert read.beam_rad is not None
     assert worst_deg(read.beam_rad, true) < 1e-6
     # coordinates alone: their length is the range
     np.savez(path, xyz=block.xyz_m)
     config = InputConfig(max_range=30.0)
-    (read,) = with_beams(open_input(path, config), config).blocks()
+    (read,) = with_beams(open_input(Input.of(path), config), config).blocks()
     expected = np.where(block.range_m > 30, np.nan, block.range_m)
     np.testing.assert_allclose(read.range_m, expected, rtol=1e-6)
     assert read.xyz_m is not None
@@ -170,10 +171,10 @@ def test_zenith_angles_and_coordinates_of_arrays(tmp_path: Path) -> None:
     assert read.beam_rad is not None
     assert worst_deg(read.beam_rad, true) < 0.3
     np.savez(path, xyz=block.xyz_m, angle_deg=np.arange(len(true)))
-    assert open_input(path, AUTO).info.down_rad is None
+    assert open_input(Input.of(path), AUTO).info.down_rad is None
     np.savez(path, xyz=np.zeros((3, 4, 2)))
     with pytest.raises(InputError, match="shape"):
-        open_input(path, AUTO)
+        open_input(Input.of(path), AUTO)
 
 
 def shown_beams(config: dict[str, Any], records: dict[str, NDArray[Any]]) -> F64:

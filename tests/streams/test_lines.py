@@ -11,6 +11,7 @@ import pytest
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock
+from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.angles import WrapState, find_sweep, lines_by_wrap
 from prc_cli.streams.columns import StampState, spread_stamps
@@ -119,7 +120,7 @@ def write(path: Path, columns: dict[str, Any]) -> Path:
 
 
 def whole(path: Path, **rules: Any) -> ScanBlock:
-    return join(list(open_input(path, InputConfig(**{**RULES, **rules})).blocks()))
+    return join(list(open_input(Input.of(path), InputConfig(**{**RULES, **rules})).blocks()))
 
 
 @pytest.mark.parametrize("chunk", [1, 2, 7])
@@ -170,7 +171,7 @@ def test_lines_of_a_rotating_profiler(
     layout = (
         None if name.endswith("400.csv") else Layout(delimiter=" ", header=False, fields=fields)
     )
-    stream = open_input(real_data / "organised" / name, InputConfig(**RULES), layout)
+    stream = open_input(Input.of(real_data / "organised" / name, layout), InputConfig(**RULES))
     block = join(list(stream.blocks()))
     assert block.range_m.shape == (n_lines, longest)
     assert (block.records() >= 0).sum(axis=1).min() >= 61

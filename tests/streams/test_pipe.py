@@ -15,6 +15,7 @@ import pytest
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.window import parse_window
+from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig, Layout, LayoutField
 from prc_cli.streams.open import WindowedStream, open_input
 from prc_cli.streams.pipe import PipeSource, open_pipe
@@ -78,7 +79,7 @@ def test_the_same_stream_as_from_a_file(tmp_path: Path, sizes: list[int]) -> Non
     data = b"header!" + records.tobytes()
     (tmp_path / "drive.bin").write_bytes(data)
     config = InputConfig(points_per_line=30)
-    whole = list(open_input(tmp_path / "drive.bin", config, RECORDS).blocks())
+    whole = list(open_input(Input.of(tmp_path / "drive.bin", RECORDS), config).blocks())
     pipe, stream = open_pipe(Pieces(data, sizes), config, RECORDS)
     pipe.seal()
     blocks = list(stream.blocks())

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prc_cli.config import load_config, with_layout_beside
+from prc_cli.config import resolve
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.frame import turning
 from prc_cli.core.types import I64
-from prc_cli.formats import open_source
 from prc_cli.formats.guessing import is_frame
+from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams import rings
 from prc_cli.streams.open import open_input
@@ -200,17 +200,17 @@ def test_any_records_become_a_frame_or_are_refused_in_one_line() -> None:
 
 
 def test_a_frame_in_column_order_is_told_in_a_dump(tmp_path: Path, real_data: Path) -> None:
-    source = open_source(real_data / "ouster" / "rellis_frame000104.ply")
+    source = Input.of(real_data / "ouster" / "rellis_frame000104.ply").records()
     assert source is not None
     names = ("x", "y", "z", "intensity")
     chunks = [np.stack([chunk.values[name] for name in names], 1) for chunk in source.chunks(names)]
     np.concatenate(chunks).astype("<f4").tofile(tmp_path / "frame.bin")
     assert is_frame(tmp_path / "frame.bin")
-    config = with_layout_beside(tmp_path / "frame.bin", load_config()).config
+    scan, loaded = resolve(tmp_path / "frame.bin")
     with pytest.raises(
         InputError, match=r"turn 1\.0 times .*column after column, a frame needs the ring"
     ):
-        open_input(tmp_path / "frame.bin", config.input, config.layout)
+        open_input(scan, loaded.config.input)
 
 
 @pytest.mark.parametrize("has_rings", [True, False])

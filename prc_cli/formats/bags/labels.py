@@ -127,7 +127,7 @@ class BagRewriter(BagOutput, ScatterWriter):
     """Writer of a copy of a bag with the class codes of its shots."""
 
     def __init__(self, labels: LabelOutput) -> None:
-        source = labels.source
+        source = labels.source.path
         path = labels.path
         if suffix_of(source) != path.suffix.lower():
             problem = (

@@ -350,10 +350,8 @@ class CloudRewriter(ScatterWriter):
 
 def open_label_writer(labels: LabelOutput) -> StagedWriter:
     """Return the writer that keeps the properties of a PLY or PCD input, or writes a new cloud."""
-    if labels.source.suffix.lower() in CLOUD_SUFFIXES:
-        from prc_cli.formats import open_source
-
-        cloud = open_source(labels.source)
+    if labels.source.suffix in CLOUD_SUFFIXES:
+        cloud = replace(labels.source, layout=None).records()
         if isinstance(cloud, CloudSource):
             return CloudRewriter(labels, cloud)
     return CloudWriter(labels.path, labels=labels)

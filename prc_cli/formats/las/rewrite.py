@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError, InputError, OutputError
 from prc_cli.core.files import output_errors
 from prc_cli.core.types import I64, U8, Mask
-from prc_cli.formats.las import LAZ, SUFFIXES
+from prc_cli.formats.las import LAZ
 from prc_cli.formats.las.build import LasBuilder
 from prc_cli.formats.las.header import (
     COMPRESSED,
@@ -72,6 +72,9 @@ from prc_cli.formats.writing.columns import (
     asked_columns,
 )
 from prc_cli.formats.writing.record import RunRecord
+
+if TYPE_CHECKING:
+    from prc_cli.formats.input import Input
 
 Masks: TypeAlias = Callable[[int], Iterator[Mask]]
 """Called with a batch size; yields a mask of the records to keep for every batch of the input.
@@ -481,12 +484,12 @@ class LasRewriter(ScatterWriter):
     """Writer of a LAS or LAZ file from the LAS or LAZ file that was classified."""
 
     def __init__(self, labels: LabelOutput) -> None:
-        self._source_path = labels.source
+        self._source_path = labels.source.path
         self._laz_contexts = None if labels.is_part else labels.laz_contexts
         self._user_names = dict(labels.user_names)
         # compared at the end: another program may have changed the input
         self._state_at_start = self._source_state()
-        self._las = read_las(labels.source)
+        self._las = read_las(labels.source.path)
         super().__init__(labels, asked_columns(labels.options), self._las.n_records)
         self._compress = labels.path.suffix.lower() == LAZ
 
@@ -626,7 +629,7 @@ class LasRecoder(LasRewriter):
     In its ``with`` block, call :meth:`put` for every record, then :meth:`finish`.
     """
 
-    def __init__(self, path: Path, source: Path, carried: tuple[str, ...] = ()) -> None:
+    def __init__(self, path: Path, source: Input, carried: tuple[str, ...] = ()) -> None:
         super().__init__(
             LabelOutput(
                 path=path, source=source, n_records=None, points_per_line=0, codes=ClassCodes()
@@ -670,6 +673,6 @@ class LasRecoder(LasRewriter):
 
 def open_label_writer(labels: LabelOutput) -> StagedWriter:
     """Return the rewriter of a LAS or LAZ input, or the builder of a new file."""
-    if labels.source.suffix.lower() in SUFFIXES:
+    if labels.source.is_las:
         return LasRewriter(labels)
     return LasBuilder(labels.path, labels=labels)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from prc_cli.core.facts import ClassContexts
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F64
 from prc_cli.formats.options import InputConfig
+
+if TYPE_CHECKING:
+    from prc_cli.formats.input import Input
 
 SPACING_M = 0.1
 """Assumed distance of lines [m]."""
@@ -226,7 +229,7 @@ class LabelOutput:
 
     path: Path
     """The suffix selects the format."""
-    source: Path
+    source: Input
     """Input; LAS, PLY, PCD and bags of an input of the same kind read it again."""
     n_records: int | None
     """Records of the input; None if unknown before reading."""

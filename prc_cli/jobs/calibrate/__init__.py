@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.config import LoadedConfig, RunConfig, resolve
 from prc_cli.core.blocks import regroup
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import output_errors
@@ -46,7 +46,7 @@ from prc_cli.jobs.calibrate.search import (
 )
 from prc_cli.jobs.calibrate.sensor import SensorEstimate, SensorMeter
 from prc_cli.jobs.choice import decide
-from prc_cli.jobs.classify import Progress, open_stream
+from prc_cli.jobs.classify import Progress, open_for_method
 from prc_cli.jobs.progress import advance
 from prc_cli.methods.prc.surfaces import area_threshold
 from prc_cli.streams.evidence.watch import watched
@@ -165,9 +165,10 @@ def calibrate(
     """
     loaded = config if config is not None else LoadedConfig(RunConfig())
     prepared = None if search is None else _prepare(search, loaded.config)
-    decided = decide(Path(source), loaded)
+    scan, with_layout = resolve(source, loaded)
+    decided = decide(scan, with_layout)
     run = decided.config
-    stream = open_stream(source, decided)
+    stream = open_for_method(scan, run)
     watch = watched(stream, run.input)
     sensor, curves, lines, n_records = _measure(watch, run, progress)
     advice, notes = _implied(sensor, curves, decided)
@@ -187,7 +188,7 @@ def calibrate(
     sources = {**loaded.sources, **{item.key: f"prc calibrate: {item.reason}" for item in advice}}
     calibrated = replace(loaded, config=with_values(loaded.config, values), sources=sources)
     return Calibration(
-        str(source), sensor, curves, advice, calibrated, result, notes, watch.findings()
+        str(scan), sensor, curves, advice, calibrated, result, notes, watch.findings()
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.config import LoadedConfig, RunConfig, resolve
 from prc_cli.core.errors import PrcError
 from prc_cli.core.types import I64, U8
 from prc_cli.evaluation.html import class_colour
@@ -112,7 +112,7 @@ def _rows(paths: Iterable[Path], points_per_line: int, every: int) -> NDArray[np
     for path in paths:
         # a file that cannot be read as a stream has no vertical direction
         with suppress(PrcError):
-            block = next(iter(open_for_pictures(config, path).blocks()), None)
+            block = next(iter(open_for_pictures(*resolve(path, config)).blocks()), None)
             if block is None or block.beam_rad is None or block.points_per_line != points_per_line:
                 continue
             order = upright(block.beam_rad[::every])

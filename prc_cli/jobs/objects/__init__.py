@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.config import LoadedConfig, RunConfig, resolve
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import (
@@ -35,7 +35,7 @@ from prc_cli.core.files import (
 from prc_cli.core.findings import Doubted, Finding, notices
 from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream
 from prc_cli.core.types import U8
-from prc_cli.formats import check_input, open_source
+from prc_cli.formats.input import Input
 from prc_cli.formats.labels import NAMES
 from prc_cli.formats.writing.base import StreamItem
 from prc_cli.formats.writing.record import RunRecord, record_path
@@ -218,25 +218,24 @@ def find_objects(
     InputError, EvidenceError, OutputError, ConfigError
         As :func:`prc_cli.jobs.classify.classify`; nothing is left behind.
     """
-    source = Path(source)
-    loaded = LoadedConfig.of(config)
+    scan, loaded = resolve(source, config)
     out = None if output is None else Path(output)
-    check_input(source)
+    scan.check()
     if out is not None:
         check_suffix(out)
-        prepare_outputs(out, record_path(out), overwrite=overwrite, inputs=loaded.inputs(source))
-    before = file_state(source)
+        prepare_outputs(out, record_path(out), overwrite=overwrite, inputs=loaded.inputs(scan.path))
+    before = file_state(scan.path)
     with whole_set(), ExitStack() as stack:
         rules: dict[Label, Rule] = {}
         notice = ""
         if not loaded.config.is_decided:
-            rules, notice = _rules_of_file(source, loaded, kinds)
+            rules, notice = _rules_of_file(scan, loaded, kinds)
         takes_classes = bool(rules)
         if not takes_classes:
-            loaded = decide(source, loaded)
+            loaded = decide(scan, loaded)
             rules = rules_for(loaded.config, kinds)
         put = None if out is None else stack.enter_context(open_list(out))
-        run = _ObjectRun(source, loaded, rules, notice, takes_classes=takes_classes)
+        run = _ObjectRun(scan, loaded, rules, notice, takes_classes=takes_classes)
         # coordinates of the records wait beside the output, or in the folder for temporary files
         beside = out
         if beside is None:
@@ -246,7 +245,7 @@ def find_objects(
             for call in (put, each):
                 if call is not None:
                     call(scan_object)
-        check_unchanged(source, before)
+        check_unchanged(scan.path, before)
         summary = run.summary()
         if out is not None:
             record_file = stack.enter_context(atomic_output(record_path(out)))
@@ -255,10 +254,10 @@ def find_objects(
 
 
 def _rules_of_file(
-    source: Path, loaded: LoadedConfig, kinds: tuple[str, ...]
+    scan: Input, loaded: LoadedConfig, kinds: tuple[str, ...]
 ) -> tuple[dict[Label, Rule], str]:
     """Return the rules of the object classes that the input has (empty = none), and a notice."""
-    records = open_source(source, loaded.config.layout)
+    records = scan.records()
     names = () if records is None else records.dimensions
     name = next((name for name in names if name.lower() in NAMES), None)
     if records is None or name is None:
@@ -288,14 +287,14 @@ class _ObjectRun:
 
     def __init__(
         self,
-        source: Path,
+        scan: Input,
         loaded: LoadedConfig,
         rules: dict[Label, Rule],
         notice: str,
         *,
         takes_classes: bool,
     ) -> None:
-        self._source = source
+        self._scan = scan
         self._loaded = loaded
         self._rules = rules
         self._notice = notice
@@ -315,7 +314,7 @@ class _ObjectRun:
 
     def objects(self, output: Path, progress: Progress | None) -> Iterator[ScanObject]:
         with open_items(
-            self._source, output, self._loaded, blocks_of=self._blocks, codes=self._takes_classes
+            self._scan, output, self._loaded, blocks_of=self._blocks, codes=self._takes_classes
         ) as opened:
             for item in opened.items:
                 for scan_object in self._add(item):
@@ -367,7 +366,7 @@ class _ObjectRun:
         self._counts = self._counts.add(labelled)
         if labelled.block.beam_rad is None:
             raise InputError(
-                str(self._source), "no beam angles, expected those of every column", "see prc info"
+                str(self._scan), "no beam angles, expected those of every column", "see prc info"
             )
         grower = self._growers.setdefault(block.scanner, Grower(block.scanner, self._rules))
         runs = runs_of(labelled, tuple(self._rules), item.registered_m)

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from prc_cli.config import LoadedConfig, MethodChoice, refuse_window
+from prc_cli.config import LoadedConfig, MethodChoice, refuse_window, resolve
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, prepare_outputs, temporary_folder, whole_set
 from prc_cli.core.version import __version__
-from prc_cli.formats import check_input
+from prc_cli.formats.input import Input
 from prc_cli.imaging.sheet import Key, Panel, choose_columns, draw_sheet
 from prc_cli.imaging.viewer import html_page
 from prc_cli.jobs.choice import decide, decided_by
@@ -68,24 +68,24 @@ def render(
     OutputError
         When it cannot be written; nothing is left behind.
     """
-    source = Path(source)
+    scan, config = resolve(source, config)
     output = Path(output)
     chosen = RenderOptions() if options is None else options
     if output.suffix.lower() not in SUFFIXES:
         problem = f"found the suffix {output.suffix!r}, expected one of: {' '.join(SUFFIXES)}"
         raise ConfigError(str(output), problem, "rename the output")
-    inputs = config.inputs(source, chosen.labels, chosen.reference)
+    inputs = config.inputs(scan.path, chosen.labels, chosen.reference)
     prepare_outputs(output, overwrite=overwrite, inputs=inputs, beside=_further_pages(output))
-    check_input(source)
+    scan.check()
     refuse_window(config.config, "prc render")
-    config = _decided(source, config, chosen)
+    config = _decided(scan, config, chosen)
     with temporary_folder("prc-render-") as scratch:
         if chosen.view == "scan":
-            drawing = draw_scan(source, config, chosen, scratch, progress)
+            drawing = draw_scan(scan, config, chosen, scratch, progress)
             result = RenderResult(
                 (),
                 (0, 0),
-                describe(drawing, config, chosen, source.name),
+                describe(drawing, config, chosen, scan.name),
                 drawing.steps,
                 (drawing.part.first, drawing.part.stop),
                 drawing.thinned_by,
@@ -98,11 +98,11 @@ def render(
         else:
             from prc_cli.jobs.render.cloud import draw_cloud
 
-            panel, key, result = draw_cloud(source, config, chosen, scratch, progress)
+            panel, key, result = draw_cloud(scan, config, chosen, scratch, progress)
             pages = [("", [panel])]
     return _write(
         output,
-        source.name,
+        scan.name,
         result,
         pages,
         key,
@@ -112,7 +112,7 @@ def render(
     )
 
 
-def _decided(source: Path, config: LoadedConfig, options: RenderOptions) -> LoadedConfig:
+def _decided(scan: Input, config: LoadedConfig, options: RenderOptions) -> LoadedConfig:
     """Return a configuration that names a method.
 
     It names PRC if the options ask for its steps, or if no method is needed.
@@ -123,7 +123,7 @@ def _decided(source: Path, config: LoadedConfig, options: RenderOptions) -> Load
     of_prc = options.figure1 or options.block is not None or steps & set(PRC_STEPS)
     if of_prc or options.labels is not None or (steps and not steps - NOT_LABELLED):
         return decided_by(MethodChoice("urban", "its steps are asked for"), config)
-    return decide(source, config)
+    return decide(scan, config)
 
 
 def _pages(drawing: Drawing) -> list[tuple[str, list[Panel]]]:

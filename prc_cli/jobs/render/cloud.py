@@ -12,7 +12,7 @@ import numpy as np
 from prc_cli.config import LoadedConfig
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64, I64, U8
-from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
+from prc_cli.formats.input import Input
 from prc_cli.formats.records import Source
 from prc_cli.imaging.cloud import (
     Camera,
@@ -25,7 +25,7 @@ from prc_cli.imaging.cloud import (
 )
 from prc_cli.imaging.pictures import Bar, Limits
 from prc_cli.imaging.sheet import Axis, Key, Panel, round_step
-from prc_cli.jobs.classify import Progress, classify, open_stream
+from prc_cli.jobs.classify import Progress, classify, open_for_method
 from prc_cli.jobs.render.colours import (
     SCALES,
     RecordClasses,
@@ -71,36 +71,36 @@ class Points:
 class Cloud:
     """Source of points; may be read repeatedly."""
 
-    source: Path
+    scan: Input
     loaded: LoadedConfig
     station: int | None
     records: Source | None
     """Records with the coordinates of the file; None = coordinates of the stream."""
 
     @classmethod
-    def open(cls, source: Path, loaded: LoadedConfig, station: int | None) -> Cloud:
+    def open(cls, scan: Input, loaded: LoadedConfig, station: int | None) -> Cloud:
         """Open a file.
 
         The points get the coordinates of the file, or of the stream if the ranges are read from
         sensor coordinates.
         """
-        records = open_source(source, loaded.config.layout)
+        records = scan.records()
         rules = loaded.config.input
         by_sensor = rules.range == "sensor-xyz" or rules.lines == "rings"
         if records is not None and not by_sensor and station is None:
             missing = [axis for axis in AXES if axis not in records.dimensions]
             if not missing:
-                return cls(source, loaded, station, records)
+                return cls(scan, loaded, station, records)
             if rules.range == "auto":
                 shown = ", ".join(records.dimensions[:20])
                 problem = f"no coordinates for a cloud: the file has no {missing[0]}, but {shown}"
-                raise InputError(str(source), problem, _HINT)
-        return cls(source, loaded, station, None)
+                raise InputError(str(scan), problem, _HINT)
+        return cls(scan, loaded, station, None)
 
     @property
     def has_class_codes(self) -> bool:
         """Whether the file can have class codes."""
-        return self.records is not None and self.source.suffix.lower() in LAS_SUFFIXES
+        return self.records is not None and self.scan.is_las
 
     def points(self, names: tuple[str, ...]) -> Iterator[Points]:
         """Read the points, with the named values if the input has them."""
@@ -117,11 +117,12 @@ class Cloud:
             )
 
     def _of_stream(self, names: tuple[str, ...]) -> Iterator[Points]:
-        stream = open_stream(self.source, self.loaded.config.model_copy(update={"method": "prc"}))
+        config = self.loaded.config.model_copy(update={"method": "prc"})
+        stream = open_for_method(self.scan, config)
         for block in of_station(stream, self.station):
             if block.xyz_m is None:
                 problem = "no coordinates for a cloud: the input holds ranges, but no x, y, z"
-                raise InputError(str(self.source), problem, _HINT)
+                raise InputError(str(self.scan), problem, _HINT)
             seen = ~np.isnan(block.range_m)
             planes = {"range": block.range_m, "intensity": block.intensity}
             values = {
@@ -136,7 +137,7 @@ class Cloud:
 
 
 def draw_cloud(
-    source: Path,
+    scan: Input,
     loaded: LoadedConfig,
     options: RenderOptions,
     folder: Path,
@@ -144,13 +145,13 @@ def draw_cloud(
 ) -> tuple[Panel, Key, RenderResult]:
     """Draw the points of an input in space."""
     _check_options(options)
-    check_input(source)
-    cloud = Cloud.open(source, loaded, options.station)
+    scan.check()
+    cloud = Cloud.open(scan, loaded, options.station)
     sample, has_classes, n_without = _look(cloud)
     kept = sample.rows()
     if not len(kept):
         raise InputError(
-            str(source), "found no point with coordinates", "check --range and the layout"
+            str(scan), "found no point with coordinates", "check --range and the layout"
         )
     colour = options.colour
     if colour is None:
@@ -164,7 +165,7 @@ def draw_cloud(
         classes.check(None if cloud.records is None else cloud.records.n_records)
     framed = _framed(kept, classes, words)
     camera = _camera(framed, options)
-    limits = _limits(colour, kept, source)
+    limits = _limits(colour, kept, scan)
     width, height = camera.size
     buffer = DepthBuffer(camera, splat_for(sample.n_seen, width * height))
     counts = np.zeros(len(words.table.names), np.int64)
@@ -183,7 +184,7 @@ def draw_cloud(
     n_hidden = sum(int(counts[place]) for place in words.table.hidden)
     bar = None if colour == "class" else SCALES[colour].bar(limits)
     head = heading(
-        source.name,
+        scan.name,
         _labelled(cloud, options, colour, folder, has_classes=has_classes),
         _seen_from(camera),
         f"{sample.n_seen - n_hidden:,} points by {colour}",
@@ -268,8 +269,8 @@ def _classes(
     if options.labels is not None:
         return words.read(options.labels, options.labels_dimension, "predicted", folder)
     if has_classes:
-        return words.read(cloud.source, options.labels_dimension, "las", folder)
-    classify(cloud.source, folder / _LABELS, cloud.loaded, progress=progress)
+        return words.read(cloud.scan.path, options.labels_dimension, "las", folder)
+    classify(cloud.scan.path, folder / _LABELS, cloud.loaded, progress=progress)
     return words.read(folder / _LABELS, None, "predicted", folder)
 
 
@@ -289,7 +290,7 @@ def _labelled(
     if options.labels is not None:
         return labels_of(options.labels)
     if has_classes:
-        return made_by(cloud.source)
+        return made_by(cloud.scan.path)
     return made_with(cloud.loaded) if cloud.loaded.config.is_decided else made_by(folder / _LABELS)
 
 
@@ -325,13 +326,13 @@ def _seen_from(camera: Camera) -> str:
     return f"from azimuth {round(azimuth, 3) % 360:g}°, {round(up, 3):g}° up"
 
 
-def _limits(colour: ColourBy, sample: F64, source: Path) -> Limits:
+def _limits(colour: ColourBy, sample: F64, scan: Input) -> Limits:
     if colour == "class":
         return Limits(0.0, 1.0)
     values = sample[:, 2 if colour == "height" else 3 + _VALUES.index(colour)]
     if not np.isfinite(values).any():
         problem = f"the points have no {colour} to be coloured by"
-        raise InputError(str(source), problem, "choose another --colour: class, height")
+        raise InputError(str(scan), problem, "choose another --colour: class, height")
     return SCALES[colour].limits(values)
 
 

@@ -18,6 +18,7 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StageLabels
 from prc_cli.core.types import F64, I64, U8, Mask
 from prc_cli.evaluation.mapping import Side
+from prc_cli.formats.input import Input
 from prc_cli.imaging.pictures import (
     AGREE_COLOUR,
     Bar,
@@ -30,7 +31,7 @@ from prc_cli.imaging.pictures import (
     trigger_picture,
 )
 from prc_cli.imaging.sheet import FRAME_HEIGHT, Axis, Key, Panel, zoom_for
-from prc_cli.jobs.classify import Progress, label_blocks, open_stream
+from prc_cli.jobs.classify import Progress, label_blocks, open_for_method
 from prc_cli.jobs.progress import advance
 from prc_cli.jobs.render.colours import (
     LABEL_TABLE,
@@ -116,9 +117,9 @@ TESTS = ClassTable(
 STAGE_TABLES = {"coarse": LABEL_TABLE, "dense": LABEL_TABLE, "dividers": INTERVALS, "tests": TESTS}
 
 
-def open_for_pictures(loaded: LoadedConfig, path: Any) -> ScanStream:
+def open_for_pictures(scan: Input, loaded: LoadedConfig) -> ScanStream:
     """Open a stream, with beam angles if they can be computed, for any classifier."""
-    stream = open_stream(path, loaded)
+    stream = open_for_method(scan, loaded.config)
     if loaded.config.needs_beams:
         return stream
     # without beam angles the picture lies on its side; damage is reported when the stream is read
@@ -321,7 +322,7 @@ class _Layout:
 
 
 def draw_scan(
-    source: Path,
+    scan: Input,
     loaded: LoadedConfig,
     options: RenderOptions,
     folder: Path,
@@ -332,7 +333,7 @@ def draw_scan(
     _check_part(method, options)
     steps = choose_steps(method, options)
     words = vocabulary(options, loaded.config.classes)
-    stream = open_for_pictures(loaded, source)
+    stream = open_for_pictures(scan, loaded)
     # labels first: they are small, and classifying takes long
     sides: dict[Side, RecordClasses] = {}
     if options.labels is not None:
@@ -348,7 +349,7 @@ def draw_scan(
     part = choose_part(options, loaded, stream)
     first = next(of_station(stream, options.station), None)
     if first is None:
-        raise InputError(str(source), "found no scan lines, expected at least one")
+        raise InputError(str(scan), "found no scan lines, expected at least one")
     layout = _choose_layout(first, part, len(steps), options)
     table = words.table if "predicted" in sides else LABEL_TABLE.without(options.hide)
     sheet = _Sheet(part, layout, steps, words, table, first.beam_rad, turns(first))

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.config import LoadedConfig, options_of, preset_of, refuse_window
+from prc_cli.config import LoadedConfig, options_of, preset_of, refuse_window, resolve
 from prc_cli.core.classes import Surface
 from prc_cli.core.errors import ConfigError, InputError, PrcError
 from prc_cli.core.files import atomic_output, prepare_outputs, temporary_folder
 from prc_cli.core.stream import LabelledBlock, ScanStream
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.core.version import __version__
-from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
+from prc_cli.formats.input import Input
 from prc_cli.formats.records import Source
 from prc_cli.formats.writing.columns import behind
 from prc_cli.imaging.viewer import ClassEntry, Shots, Values, viewer_page
@@ -139,40 +139,46 @@ def render_viewer(
     progress: Progress | None = None,
 ) -> RenderResult:
     """Write a page with the cloud and the range image of a scan, to turn, zoom and click."""
-    source = Path(source)
+    scan, loaded = resolve(source, config)
     output = Path(output)
     chosen = RenderOptions() if options is None else options
     _check(output, chosen)
-    refuse_window(config.config, "prc render")
-    prepare_outputs(output, overwrite=overwrite, inputs=config.inputs(source, chosen.labels))
-    check_input(source)
+    refuse_window(loaded.config, "prc render")
+    prepare_outputs(output, overwrite=overwrite, inputs=loaded.inputs(scan.path, chosen.labels))
+    scan.check()
     with temporary_folder("prc-render-") as scratch:
-        words = vocabulary(chosen, config.config.classes)
-        classes, origin = _existing_classes(source, config, chosen, words, scratch)
+        words = vocabulary(chosen, loaded.config.classes)
+        classes, origin = _existing_classes(scan, loaded, chosen, words, scratch)
         if classes is None:
-            config = config if config.config.is_decided else decide(source, config)
-            origin = made_with(config)
-        stream = open_for_pictures(config, source)
+            loaded = decide(scan, loaded)
+            origin = made_with(loaded)
+        placed = None
+        if chosen.trajectory is not None:
+            layout = config.config.layout
+            placed = placed_source(
+                scan.path, scan.path, chosen.trajectory, chosen.mount, layout=layout
+            )
+        stream = open_for_pictures(scan, loaded)
         if classes is not None:
             classes.check(stream.info.n_records)
-        kept = _collect(stream, config, chosen, words, classes, progress)
-        shots, notes = _shots(source, config, chosen, stream, kept)
+        kept = _collect(stream, loaded, chosen, words, classes, progress)
+        shots, notes = _shots(scan, loaded, chosen, stream, kept, placed)
     part = kept.part
     head = heading(origin, f"{part.sentence()} lines", part.scanner, thinned(kept.step))
     text = viewer_page(
         shots,
-        title=source.name,
+        title=scan.name,
         head=head,
         notes=notes,
         foot=f"Written by prc render {__version__}.",
-        why="" if classes is not None else _explain(source, config, chosen),
+        why="" if classes is not None else _explain(scan, loaded, chosen),
     )
     with atomic_output(output, overwrite=overwrite) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
     return RenderResult(
         (output,),
         (0, 0),
-        f"{source.name} · {head}",
+        f"{scan.name} · {head}",
         lines=(part.first, part.stop),
         thinned_by=kept.step,
         counts=words.table.count_by_name(kept.counts),
@@ -181,9 +187,9 @@ def render_viewer(
     )
 
 
-def _explain(source: Path, loaded: LoadedConfig, options: RenderOptions) -> str:
+def _explain(scan: Input, loaded: LoadedConfig, options: RenderOptions) -> str:
     # the command that explains the class of a shot, without the place of the shot
-    words = ["prc", "explain", source.name]
+    words = ["prc", "explain", scan.name]
     preset = preset_of(loaded)
     if preset is not None:
         words += ["--preset", preset]
@@ -211,7 +217,7 @@ def _check(output: Path, options: RenderOptions) -> None:
 
 
 def _existing_classes(
-    source: Path,
+    scan: Input,
     loaded: LoadedConfig,
     options: RenderOptions,
     words: Vocabulary,
@@ -221,17 +227,14 @@ def _existing_classes(
     if options.labels is not None:
         classes = words.read(options.labels, options.labels_dimension, "predicted", folder)
         return classes, labels_of(options.labels)
-    records = (
-        open_source(source, loaded.config.layout) if source.suffix.lower() in LAS_SUFFIXES else None
-    )
+    records = scan.records() if scan.is_las else None
     name = "classification"
     if records is None or not any(
         (~np.isin(chunk.values[name], NO_CLASSES)).any() for chunk in records.chunks((name,))
     ):
         return None, ""
-    return words.read(source, options.labels_dimension, "las", folder), made_by(
-        source
-    ) or "classes of the file"
+    classes = words.read(scan.path, options.labels_dimension, "las", folder)
+    return classes, made_by(scan.path) or "classes of the file"
 
 
 def _steps(n_lines: int, n_columns: int, most: int) -> tuple[int, int]:
@@ -296,11 +299,12 @@ def _labelled(
 
 
 def _shots(
-    source: Path,
+    scan: Input,
     loaded: LoadedConfig,
     options: RenderOptions,
     stream: ScanStream,
     kept: _Kept,
+    placed: Source | None,
 ) -> tuple[Shots, tuple[str, ...]]:
     # the data of the page, and its notes
     words = kept.words
@@ -315,7 +319,7 @@ def _shots(
         name: plane.astype(np.float64) for name, plane in planes.items() if plane is not None
     }
     sensor_m = values.pop("xyz", None)
-    values |= _of_files(source, loaded, options, record)
+    values |= _of_files(scan, loaded, options, record, placed)
     file_m = (
         np.stack([values.pop(axis) for axis in AXES], axis=2) if set(AXES) <= set(values) else None
     )
@@ -392,26 +396,23 @@ def _values(name: str, values: F64, seen: Mask) -> Values:
 
 
 def _of_files(
-    source: Path,
+    scan: Input,
     loaded: LoadedConfig,
     options: RenderOptions,
     record: I64,
+    placed: Source | None,
 ) -> dict[str, F64]:
     # coordinates and stages in the files, by name, each with the shape of record
     values: dict[str, F64] = {}
-    cloud: Source | None = None
+    cloud = placed
     labels = None
-    if options.trajectory is not None:
-        cloud = placed_source(
-            source, source, options.trajectory, options.mount, layout=loaded.config.layout
-        )
-    else:
+    if cloud is None:
         with suppress(InputError):
-            cloud = Cloud.open(source, loaded, options.station).records
+            cloud = Cloud.open(scan, loaded, options.station).records
     # a label file that is not a list of records, such as .npy, has no stages
     with suppress(PrcError):
-        labels = None if options.labels is None else open_source(options.labels, None)
-    stored = open_source(source, loaded.config.layout)
+        labels = None if options.labels is None else Input.of(options.labels).records()
+    stored = scan.records()
     for records, names in ((cloud, AXES), (stored, tuple(STAGES)), (labels, tuple(STAGES))):
         present = (
             () if records is None else tuple(name for name in names if name in records.dimensions)

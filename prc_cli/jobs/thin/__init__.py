@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.config import LoadedConfig, RunConfig, refuse_window, with_layout_beside
+from prc_cli.config import LoadedConfig, RunConfig, refuse_window, resolve
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import (
@@ -32,12 +32,13 @@ from prc_cli.core.files import (
 from prc_cli.core.findings import Doubted, Finding, notices
 from prc_cli.core.stream import LabelledBlock, ScanStream, StreamInfo
 from prc_cli.core.types import Mask
-from prc_cli.formats import LAS_SUFFIXES, check_input, open_source, scan_file
+from prc_cli.formats import LAS_SUFFIXES, scan_file
+from prc_cli.formats.input import Input
 from prc_cli.formats.labels import NAMES, open_codes
 from prc_cli.formats.las.rewrite import check_copied, copy_las, read_las
 from prc_cli.formats.outputs import open_stream_writer, open_writer, outputs_of
 from prc_cli.formats.records import NO_CODE
-from prc_cli.formats.registry import format_of, is_bag, keeps_points
+from prc_cli.formats.registry import format_of, is_bag
 from prc_cli.formats.writing.base import StreamItem
 from prc_cli.formats.writing.columns import LabelOutput
 from prc_cli.formats.writing.disk import DiskColumn
@@ -204,39 +205,40 @@ def _thin_file(
     progress: Progress | None,
     **common: Any,
 ) -> ThinningSummary:
+    scan, loaded = resolve(source, loaded)
     if labels is None:
-        labels = _labels_of_input(source, loaded)
+        labels = _labels_of_input(scan)
     if labels == CLASSIFY:
-        loaded = decide(source, loaded)
-    run = _ThinRun(source, output, rules, loaded, labels, **common)
+        loaded = decide(scan, loaded)
+    run = _ThinRun(scan, output, rules, loaded, labels, **common)
     label_files = () if run.labels is None else (run.labels,)
     if is_bag(output):
-        check_input(source)
-        inputs = loaded.inputs(source, *label_files)
+        scan.check()
+        inputs = loaded.inputs(scan.path, *label_files)
         prepare_outputs(output, record_path(output), overwrite=overwrite, inputs=inputs)
     else:
-        prepare_output(source, output, loaded, overwrite=overwrite, more=label_files)
-    before = file_state(source)
-    if suffix_of(source) in LAS_SUFFIXES and suffix_of(output) in LAS_SUFFIXES:
+        prepare_output(scan, output, loaded, overwrite=overwrite, more=label_files)
+    before = file_state(scan.path)
+    if scan.is_las and suffix_of(output) in LAS_SUFFIXES:
         record = run.copy(progress, before)
     else:
         record = run.write(progress, before)
     return run.summary(record)
 
 
-def _labels_of_input(source: Path, loaded: LoadedConfig) -> Path | str | None:
+def _labels_of_input(scan: Input) -> Path | str | None:
     """Return the source of the classes: None = the records, a bag's clouds, or the classifier."""
-    if is_bag(source):
+    if scan.is_bag:
         with contextlib.suppress(InputError):
-            next(open_codes(source).chunks())
-            return source
+            next(open_codes(scan.path).chunks())
+            return scan.path
         return CLASSIFY
-    records = open_source(source, with_layout_beside(source, loaded).config.layout)
+    records = scan.records()
     if records is not None:
         return None if any(name.lower() in NAMES for name in records.dimensions) else CLASSIFY
-    columns = format_of(source, "codes")
+    columns = format_of(scan.path, "codes")
     with contextlib.suppress(ConfigError, InputError):
-        if columns is not None and open_codes(source, "class").n:
+        if columns is not None and open_codes(scan.path, "class").n:
             return None
     return CLASSIFY
 
@@ -258,9 +260,11 @@ def _thin_folder(
         raise InputError(
             str(source), f"all {len(frames)} frames are empty, expected points", "copy them again"
         )
-    if not known and (labels == CLASSIFY or _labels_of_input(first, loaded) == CLASSIFY):
-        loaded = decide(first, loaded)
-        labels = CLASSIFY
+    if not known:
+        scan, loaded_of_first = resolve(first, loaded)
+        if labels == CLASSIFY or _labels_of_input(scan) == CLASSIFY:
+            loaded = decide(scan, loaded_of_first)
+            labels = CLASSIFY
 
     def thin_one(frame: Path, thinned: Path) -> ThinningSummary:
         return _thin_file(
@@ -346,7 +350,7 @@ class _ThinRun:
 
     def __init__(
         self,
-        source: Path,
+        scan: Input,
         output: Path,
         rules: tuple[ThinRule, ...],
         loaded: LoadedConfig,
@@ -356,7 +360,7 @@ class _ThinRun:
         keep_empty: bool,
         is_frame: bool = False,
     ) -> None:
-        self.source = source
+        self.scan = scan
         self.output = output
         self.rules = rules
         self.loaded = loaded
@@ -378,7 +382,7 @@ class _ThinRun:
 
     def copy(self, progress: Progress | None, before: tuple[int, ...]) -> RunRecord:
         """Copy a LAS or LAZ file without the records of dropped returns."""
-        las = read_las(self.source)
+        las = read_las(self.scan.path)
         check_copied(las)
         with contextlib.ExitStack() as stack:
             temporary, record_file = stack.enter_context(
@@ -389,7 +393,7 @@ class _ThinRun:
             )
             needs_xyz = any(rule.spacing_m is not None for rule in self.rules)
             with self._open(xyz=needs_xyz) as (opened, items):
-                hints = _check_lines(self.source, opened)
+                hints = _check_lines(self.scan, opened)
                 for item in items:
                     kept, kept_extra = self._choose(item)
                     block = item.block
@@ -413,7 +417,7 @@ class _ThinRun:
                 record,
             )
             record = replace(record, notices=(*record.notices, *notices))
-            check_unchanged(self.source, before)
+            check_unchanged(self.scan.path, before)
             record_file.write_bytes(record.to_json())
         return record
 
@@ -421,9 +425,7 @@ class _ThinRun:
         """Write the stream without the dropped shots, or the points of the input without them."""
         with self._open(xyz=not is_bag(self.output)) as (opened, items):
             if is_bag(self.output) or (
-                opened.shape.rings
-                and not self.keep_empty
-                and keeps_points(self.source, self.output)
+                opened.shape.rings and not self.keep_empty and self.scan.keeps_points(self.output)
             ):
                 return self._rewrite(opened, items, progress, before)
             shape = replace(opened.shape, codes=True)
@@ -439,7 +441,7 @@ class _ThinRun:
                 )
                 hints = (*opened.notices, *losses, *how_to_read(self.output, opened, self.counts))
                 record = self._record(opened.info, hints)
-                check_unchanged(self.source, before)
+                check_unchanged(self.scan.path, before)
                 return writer.finish(record)
 
     def _rewrite(
@@ -453,7 +455,7 @@ class _ThinRun:
         config = self.loaded.config
         labels = LabelOutput(
             path=self.output,
-            source=self.source,
+            source=self.scan,
             n_records=opened.info.n_records,
             points_per_line=opened.info.points_per_line,
             codes=config.classes,
@@ -468,12 +470,12 @@ class _ThinRun:
                 advance(progress, item.block, opened.info)
             self._check_labels(opened.info)
             record = self._record(opened.info, opened.notices)
-            check_unchanged(self.source, before)
+            check_unchanged(self.scan.path, before)
             return writer.finish(record)
 
     def summary(self, record: RunRecord) -> ThinningSummary:
         names = {**self.loaded.config.classes.names(), NO_CODE: "none"}
-        bytes_input = self.source.stat().st_size
+        bytes_input = self.scan.path.stat().st_size
         outputs = (self.output,) if is_bag(self.output) else outputs_of(self.output)[:-1]
         bytes_output = sum(path.stat().st_size for path in outputs)
         counts = [(code, n, self.n_kept[code]) for code, n in sorted(self.n_input.items())]
@@ -510,7 +512,7 @@ class _ThinRun:
 
         with contextlib.ExitStack() as stack:
             items_of = open_items(
-                self.source,
+                self.scan,
                 self.output,
                 self.loaded,
                 blocks_of=labelled if self.classify else None,
@@ -526,7 +528,7 @@ class _ThinRun:
                 self._n_labels = len(file_codes)
             if self.min_confidence is not None and not self.classify:
                 self._confidence = self._read_values(
-                    self.labels or self.source, CONFIDENCE, opened.info, stack
+                    self.labels or self.scan.path, CONFIDENCE, opened.info, stack
                 )
             lookup = config.classes.lookup().astype(np.int32)
             lookup[Label.MISSING] = NO_CODE
@@ -606,9 +608,7 @@ class _ThinRun:
             raise self._other_labels(self.labels, self._n_labels, n_records)
 
     def _other_labels(self, path: Path, n_labels: int | None, n_records: int | None) -> InputError:
-        problem = (
-            f"found {n_labels} labels, expected {n_records}, one a record of {self.source.name}"
-        )
+        problem = f"found {n_labels} labels, expected {n_records}, one a record of {self.scan.name}"
         return InputError(str(path), problem, "give the labels of this file")
 
     def _record(self, info: StreamInfo, hints: tuple[str, ...]) -> RunRecord:
@@ -623,7 +623,7 @@ class _ThinRun:
         if not n_all_kept and not self.is_frame:
             problem = f"all {n_input} returns would be dropped, expected some to stay"
             raise ConfigError(
-                str(self.source), problem, "keep more: --keep noise=1, or other classes"
+                str(self.scan), problem, "keep more: --keep noise=1, or other classes"
             )
         note = (
             f"thinned: {n_input - n_all_kept} of {n_input} returns were dropped "
@@ -662,7 +662,7 @@ def _codes_of(codes: Any, kept: Mask) -> Any:
     return np.where(kept, np.where((codes >= 0) & (codes < 256), codes, 0), NO_CODE)
 
 
-def _check_lines(source: Path, opened: OpenedItems) -> tuple[str, ...]:
+def _check_lines(scan: Input, opened: OpenedItems) -> tuple[str, ...]:
     """Return the options that read the thinned file.
 
     Refuse a LAS file in which the cell of a shot depends on other records.
@@ -677,7 +677,7 @@ def _check_lines(source: Path, opened: OpenedItems) -> tuple[str, ...]:
     else:
         return _options_to_read(grid)
     problem = f"the cell of a shot depends on {basis}: without some records, other shots move"
-    raise ConfigError(str(source), problem, "write .csv.gz, .npz or .parquet, which keep the cells")
+    raise ConfigError(str(scan), problem, "write .csv.gz, .npz or .parquet, which keep the cells")
 
 
 def _options_to_read(grid: GridStream) -> tuple[str, ...]:

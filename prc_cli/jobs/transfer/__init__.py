@@ -22,6 +22,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.files import file_state, prepare_outputs, suffix_of
 from prc_cli.core.stream import Assumption
 from prc_cli.formats import LAS_SUFFIXES
+from prc_cli.formats.input import Input
 from prc_cli.formats.las.rewrite import LasRecoder
 from prc_cli.formats.las.vlrs import names_of_file
 from prc_cli.formats.options import Layout
@@ -276,7 +277,7 @@ def transfer(
     carried = list(options.carry)
     if options.min_confidence is not None and CONFIDENCE not in carried:
         carried.append(CONFIDENCE)
-    with LasRecoder(output, registered, options.carry) as writer, ExitStack() as stack:
+    with LasRecoder(output, Input.of(registered), options.carry) as writer, ExitStack() as stack:
         for joined in _partners(sides, tuple(carried), options, tally, stack):
             record = joined.left[RECORD]
             codes = joined.left[CODE].copy()

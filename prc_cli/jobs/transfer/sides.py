@@ -11,7 +11,8 @@ import numpy as np
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import suffix_of
 from prc_cli.core.stream import Assumption
-from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
+from prc_cli.formats import LAS_SUFFIXES
+from prc_cli.formats.input import Input
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.las.vlrs import same_crs
@@ -57,14 +58,14 @@ def check_paths(
         raise ConfigError(
             str(output), f"found suffix {output.suffix!r}, expected .las or .laz", "name OUT so"
         )
-    suffix = suffix_of(registered)
-    if suffix not in LAS_SUFFIXES and registered.exists():
-        problem = f"found suffix {suffix!r}, expected the registered points as .las or .laz"
+    target = Input.of(registered)
+    if not target.is_las and registered.exists():
+        problem = f"found suffix {target.suffix!r}, expected the registered points as .las or .laz"
         raise InputError(str(registered), problem, "give LABELS first, then REGISTERED, then OUT")
-    check_input(registered)
+    target.check()
     suffix = suffix_of(labels)
     if suffix in LAS_SUFFIXES:
-        check_input(labels)
+        Input.of(labels).check()
         if points is not None:
             problem = "has its own keys, expected no --points with it"
             raise ConfigError(
@@ -157,20 +158,21 @@ def _open_labelled(
     if suffix_of(labels) in LAS_SUFFIXES:
         return LasSource(labels)
     if points is not None:
-        source = open_source(points, layout)
+        scan = Input.of(points, layout)
+        source = scan.records()
         if source is None:
             problem = (
-                f"found a range image or an organised scan ({suffix_of(points)}), "
+                f"found a range image or an organised scan ({scan.suffix}), "
                 "expected a list of records"
             )
-            raise InputError(str(points), problem, "classify it to .las, and transfer that")
+            raise InputError(str(scan), problem, "classify it to .las, and transfer that")
         return source
     if options.match == "record" or options.match.startswith("record:"):
         # the key is the order, which the label file has
         return CodesAlone(open_codes(labels, options.dimension))
     form = format_of(labels)
     if form is not None and form.records:
-        table = open_source(labels, layout)
+        table = Input.of(labels, layout).records()
         if table is not None and set(_rules(options, ())[0].names) <= set(table.dimensions):
             return table
     problem = f"contains only classes, expected a key to match by {options.match}"

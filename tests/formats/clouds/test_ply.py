@@ -10,8 +10,9 @@ import pytest
 from prc_cli.cli import main
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import InputError
-from prc_cli.formats import binary, open_source
+from prc_cli.formats import binary
 from prc_cli.formats.clouds.pcd import decode_lzf
+from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.records import Source
 from prc_cli.streams.open import open_input
@@ -32,7 +33,7 @@ def columns() -> dict[str, Array]:
 
 
 def opened(path: Path, layout: Layout | None = None) -> Source:
-    source = open_source(path, layout)
+    source = Input.of(path, layout).records()
     assert source is not None
     return source
 
@@ -102,7 +103,7 @@ def test_returns_that_are_listed_again_are_not_shots(tmp_path: Path) -> None:
         note.startswith(f"{n_copies} of the first {len(time)} rows repeat an earlier return")
         for note in source.facts.notes
     )
-    block = join(list(open_input(path, InputConfig()).blocks()))
+    block = join(list(open_input(Input.of(path), InputConfig()).blocks()))
     assert np.isfinite(block.range_m).sum() == 400
     assert len(block.extra) == len(time) - 400
     assert block.tally.n_collisions == 0
@@ -202,7 +203,7 @@ def test_the_profiler_of_ign(real_data: Path, number: int) -> None:
     plyfile = pytest.importorskip("plyfile")
     path = real_data / "riegl" / f"sample_riegl_18_0{number}.ply"
     row = plyfile.PlyData.read(str(path))["vertex"].data
-    stream = open_input(path, InputConfig())
+    stream = open_input(Input.of(path), InputConfig())
     block = join(list(stream.blocks()))
     assert stream.info.points_per_line == 2917
     record = np.asarray(block.record)
@@ -261,7 +262,7 @@ def test_pcd_headers_that_lie(
         pcd(pcd_columns(), data, height=N_LINES).replace(old.encode(), new.encode(), 1)
     )
     with pytest.raises(InputError, match=told):
-        open_source(path)
+        Input.of(path).records()
 
 
 def test_lzf_gives_back_what_was_packed() -> None:
@@ -318,7 +319,8 @@ def test_a_drive_read_back_has_the_same_labels(drive: Path, tmp_path: Path, suff
     path = tmp_path / f"s.{suffix}"
     assert run(["convert", str(drive / "s.npz"), str(path), "-q"]) == 0
     first, again = (
-        join(list(open_input(source, InputConfig()).blocks())) for source in (drive / "s.npz", path)
+        join(list(open_input(Input.of(source), InputConfig()).blocks()))
+        for source in (drive / "s.npz", path)
     )
     np.testing.assert_array_equal(first.range_m, again.range_m)
     assert run(["classify", str(path), str(tmp_path / "l.npy"), "--preset", "urban", "-q"]) in (
@@ -338,7 +340,9 @@ def test_a_cloud_keeps_its_properties(
 ) -> None:
     """Class, line and column are added to what was there; plyfile reads it."""
     plyfile = pytest.importorskip("plyfile")
-    image = join(list(open_input(drive / "s.npz", InputConfig()).blocks())).range_m[:, ::4]
+    image = join(list(open_input(Input.of(drive / "s.npz"), InputConfig()).blocks())).range_m[
+        :, ::4
+    ]
     n_lines, m = image.shape
     line, column = np.divmod(np.arange(image.size, dtype=np.uint32), m)
     made = {

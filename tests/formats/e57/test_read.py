@@ -11,6 +11,7 @@ import pytest
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import OutputError, PrcError
 from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock, StreamInfo
+from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised import e57_read
 from prc_cli.formats.organised.e57_read import E57Stream
@@ -61,7 +62,7 @@ def test_any_order_gives_the_same_lines(tmp_path: Path) -> None:
     ranges, xyz = expected(points)
     for name, order in orders(points).items():
         fields = reordered(e57_fields(points), order)
-        stream = open_input(write_e57(tmp_path / "a.E57", [Scan(fields)]), AUTO)
+        stream = open_input(Input.of(write_e57(tmp_path / "a.E57", [Scan(fields)])), AUTO)
         (block,) = scans_of(stream)
         assert (stream.info.format, stream.info.n_lines, stream.info.points_per_line) == (
             "E57",
@@ -91,7 +92,7 @@ def test_registered_points_without_a_pose_take_the_place_of_the_scanner(tmp_path
         tmp_path / "a.e57", [Scan(e57_fields(np.where(there, points + place, 0)))]
     )
     config = InputConfig(range="origin:4096,-8192,32")
-    stream = open_input(registered, config)
+    stream = open_input(Input.of(registered), config)
     ranges, xyz = expected(points)
     (block,) = scans_of(stream)
     assert equal(block.range_m, ranges)
@@ -99,7 +100,7 @@ def test_registered_points_without_a_pose_take_the_place_of_the_scanner(tmp_path
     assert equal(block.xyz_m, xyz)
     assert stream.info.facts.stations == {0: (4096.0, -8192.0, 32.0)}
     assert "origin" not in stream.info.facts.refuses
-    assert "--range origin:X,Y,Z" in open_input(registered, AUTO).info.facts.remedy
+    assert "--range origin:X,Y,Z" in open_input(Input.of(registered), AUTO).info.facts.remedy
     turned = write_e57(tmp_path / "b.e57", [Scan(e57_fields(points), (1.0, 0.0, 0.0, 0.0))])
     assert "one scan of x, y, z without a pose" in refused(turned, config)
     two = write_e57(tmp_path / "c.e57", [Scan(e57_fields(points))] * 2)
@@ -225,7 +226,7 @@ def test_a_file_that_changes_while_it_is_read_is_an_error(tmp_path: Path) -> Non
 
 @pytest.mark.data
 def test_a_real_scan(real_data: Path) -> None:
-    stream = open_input(real_data / "organised" / "pumpA.e57", AUTO)
+    stream = open_input(Input.of(real_data / "organised" / "pumpA.e57"), AUTO)
     assert any(
         item.value == "not read: colorRed, colorGreen, colorBlue"
         for item in stream.info.assumptions

@@ -11,7 +11,7 @@ from pyarrow import feather, parquet
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64
-from prc_cli.formats import open_source
+from prc_cli.formats.input import Input
 from prc_cli.formats.tables.read import open_table
 
 
@@ -70,7 +70,7 @@ def test_columns_are_read_by_their_usual_names(tmp_path: Path, compression: str)
     }
     path = tmp_path / "sweep.feather"
     feather.write_feather(pa.table(table), path, compression=compression, chunksize=30_000)
-    source = open_source(path)
+    source = Input.of(path).records()
     assert source is not None
     assert source.n_records == n
     assert set(source.dimensions) == {"x", "y", "z", "ring", "time"}
@@ -93,7 +93,7 @@ def test_what_is_cut_short_is_said_in_one_line(tmp_path: Path, n_bytes: int) -> 
     feather.write_feather(pa.table({"x": np.arange(1000.0)}), path)
     path.write_bytes(path.read_bytes()[:n_bytes])
     with pytest.raises(InputError, match="no whole Feather file"):
-        open_source(path)
+        Input.of(path).records()
 
 
 def test_a_ring_of_a_dictionary_is_a_number(tmp_path: Path) -> None:
@@ -101,7 +101,7 @@ def test_a_ring_of_a_dictionary_is_a_number(tmp_path: Path) -> None:
     table = pa.table({"x": np.arange(100.0), "ring": ring, "name": pa.array(["a"] * 100)})
     path = tmp_path / "sweep.feather"
     feather.write_feather(table, path)
-    source = open_source(path)
+    source = Input.of(path).records()
     assert source is not None
     (chunk,) = source.chunks(("ring",))
     np.testing.assert_array_equal(chunk.values["ring"], np.arange(100) % 32)
@@ -111,4 +111,4 @@ def test_version_1_of_feather_is_named(tmp_path: Path) -> None:
     path = tmp_path / "old.feather"
     path.write_bytes(b"FEA1" + bytes(100) + b"FEA1")
     with pytest.raises(InputError, match="a Feather file of version 1; write it in version 2"):
-        open_source(path)
+        Input.of(path).records()

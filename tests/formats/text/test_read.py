@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from prc_cli.core.errors import InputError
-from prc_cli.formats import open_source
+from prc_cli.formats.input import Input
 from prc_cli.formats.options import Layout
 from prc_cli.formats.records import Source
 from prc_cli.formats.text import lines as text_lines
@@ -257,7 +257,7 @@ def test_rows_are_found_among_any_lines_that_are_none(
 
 def cloud_values(path: Path, text: str, layout: Layout | None = None) -> dict[str, list[float]]:
     path.write_text(text)
-    source = open_source(path, layout)
+    source = Input.of(path, layout).records()
     assert source is not None
     (chunk,) = source.chunks(source.dimensions)
     return {name: np.round(column, 9).tolist() for name, column in chunk.values.items()}
@@ -280,4 +280,4 @@ def test_quoted_cells_that_no_table_has_are_refused_in_one_line(tmp_path: Path, 
     path = tmp_path / "a.csv"
     path.write_text("line,column,range\n0,0,5\n" + f"0,1,{cell}\n", newline="")
     with pytest.raises(InputError, match="line 3"):
-        list(open_source(path).chunks(("range",)))
+        list(Input.of(path).records().chunks(("range",)))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.errors import InputError
+from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.open import open_input
 
@@ -29,7 +30,7 @@ def write(path: Path, n_turns: int) -> Path:
 
 
 def test_a_turn_in_text_is_a_frame(tmp_path: Path) -> None:
-    info = open_input(write(tmp_path / "a.csv", 1), InputConfig()).info
+    info = open_input(Input.of(write(tmp_path / "a.csv", 1)), InputConfig()).info
     assert info.points_per_line == 16
     assert info.n_lines == 360
 
@@ -37,10 +38,10 @@ def test_a_turn_in_text_is_a_frame(tmp_path: Path) -> None:
 def test_several_turns_are_named_and_the_hint_reads_them(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", 3)
     with pytest.raises(InputError, match="the file holds 3.0 turns") as caught:
-        open_input(path, InputConfig())
+        open_input(Input.of(path), InputConfig())
     assert "--lines time:3600 --columns dimension:ring --range sensor-xyz" in caught.value.hint
     config = InputConfig(lines="time:3600", columns="dimension:ring", range="sensor-xyz")
-    blocks = list(open_input(path, config).blocks())
+    blocks = list(open_input(Input.of(path), config).blocks())
     assert sum(block.n_lines for block in blocks) == 3 * 360
 
 
@@ -63,11 +64,11 @@ def write_veloview(path: Path, n_turns: int) -> Path:
 
 
 def test_a_frame_of_veloview_is_a_turn(tmp_path: Path) -> None:
-    info = open_input(write_veloview(tmp_path / "a.csv", 1), InputConfig()).info
+    info = open_input(Input.of(write_veloview(tmp_path / "a.csv", 1)), InputConfig()).info
     assert (info.points_per_line, info.n_lines) == (16, 360)
 
 
 def test_several_frames_of_veloview_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="the file holds 3.0 turns") as caught:
-        open_input(write_veloview(tmp_path / "a.csv", 3), InputConfig())
+        open_input(Input.of(write_veloview(tmp_path / "a.csv", 3)), InputConfig())
     assert caught.value.hint == "save every turn (frame) as a file of its own"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from prc_cli.cli import cli
-from prc_cli.config import LoadedConfig, load_config, with_layout_beside
+from prc_cli.config import resolve
 from prc_cli.core.types import I64, U8
 from prc_cli.formats.registry import by_suffix
 from prc_cli.streams.open import open_input
@@ -88,8 +88,8 @@ def labels_of_cells(path: Path, method: str) -> I64:
     if not output.exists():
         run("classify", str(path), str(output), "--method", method)
     labels: U8 = np.load(output).ravel()
-    config = with_layout_beside(path, LoadedConfig.of(load_config())).config
-    stream = open_input(path, config.input, config.layout)
+    scan, loaded = resolve(path)
+    stream = open_input(scan, loaded.config.input)
     record = np.concatenate([block.records().ravel() for block in stream.blocks()])
     return np.where(record >= 0, labels[record].astype(np.int64), -1)
 

@@ -17,6 +17,7 @@ from prc_cli.config import LoadedConfig, RunConfig, load_config
 from prc_cli.core.blocks import join
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64
+from prc_cli.formats.input import Input
 from prc_cli.jobs.choice import choice_by_beams
 from prc_cli.jobs.info import inspect
 from prc_cli.streams.evidence import periods as estimates
@@ -152,7 +153,9 @@ def test_info_lists_all_that_is_missing_and_its_command_does(tmp_path: Path) -> 
     assert "--range trajectory:FILE" in inspection.hint
     rules = {"range": f"trajectory:{track}"}
     block = join(
-        list(open_input(path, load_config(options={"input": rules}).config.input).blocks())
+        list(
+            open_input(Input.of(path), load_config(options={"input": rules}).config.input).blocks()
+        )
     )
     assert block.tally.n_collisions == block.tally.n_unplaced == 0
     record = np.asarray(block.record)

@@ -8,6 +8,7 @@ import numpy as np
 
 from prc_cli.core.findings import Verdict
 from prc_cli.core.stream import ScanBlock
+from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.open import drive_of, open_input
 from prc_cli.streams.registered.scanner_paths import scanner_paths
@@ -35,7 +36,7 @@ def write(points: Cloud, path: Path) -> None:
 def test_a_shuffled_cloud_becomes_lines_of_firings_and_columns_of_rings(tmp_path: Path) -> None:
     points = spinning_cloud(EVEN, AHEAD, duration_s=0.6)
     write(points, tmp_path / "cloud.csv")
-    stream = open_input(tmp_path / "cloud.csv", InputConfig(range="points"))
+    stream = open_input(Input.of(tmp_path / "cloud.csv"), InputConfig(range="points"))
     blocks: list[ScanBlock] = list(stream.blocks())
     range_m = np.concatenate([block.range_m for block in blocks])
     record = np.concatenate([block.record for block in blocks])
