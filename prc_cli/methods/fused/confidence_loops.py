@@ -6,17 +6,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import Label
-from prc_cli.core.types import F32, F32_2, I32, I32_2, I64, I64_1, I64_2, U8, U8_2
+from prc_cli.core.types import F32, F32_2, I32_2, I64, I64_1, I64_2, U8, U8_2
 from prc_cli.kernels.cache import helper, inlined, kernel
-from prc_cli.methods.fused.records import Beams, FilledSlots, Neighbours, Walls
+from prc_cli.methods.fused.records import (
+    SLOT_M,
+    STRIP_M,
+    STRIPS,
+    Beams,
+    FilledSlots,
+    Neighbours,
+    Walls,
+)
 
 Words = NDArray[np.uint64]
 
 LINES = 2
-STRIPS = 320
-STRIP_M = np.float32(0.5)
-SLOT_M = np.float32(0.25)
-"""As in :mod:`strips_loops`."""
+"""Lines before and after a line in which labels are compared."""
 (
     AGREE,
     SMOOTH,
@@ -37,10 +42,7 @@ SLOT_M = np.float32(0.25)
 """Rows of the measures."""
 N_MEASURES = 15
 PLACE_M = np.float32(0.25)
-"""Half width of the place, in five lines, in which labels are compared [m].
-
-2 columns at least, 60 at most.
-"""
+"""Half width of the place, in five lines, in which labels are compared [m]."""
 LEAST_COLUMNS = np.float32(2)
 MOST_COLUMNS = np.float32(60)
 """Limits of the half width of a place, in columns: five lines of 121 shots fit in ten bits."""
@@ -62,10 +64,7 @@ _MISSING = int(Label.MISSING)
 
 @helper
 def _count_groups(labels: U8, groups: I64, words: Words) -> None:
-    """Write the group of every shot of a line as a word with one count.
-
-    Nothing where it has none.
-    """
+    """Write the group of every shot of a line as a word with one count, 0 without a group."""
     for i in range(len(labels)):
         group = groups[labels[i]]
         words[i] = (
@@ -80,9 +79,9 @@ def _sum_up(
     last: int,
     sums_before: Words,
 ) -> None:
-    """Write the sums of the first 0, 1, ... columns of some rows.
+    """Write the sums of the first 0, 1, ... columns of some lines.
 
-    They may overflow, their differences do not.
+    They may overflow, their differences are still right.
     """
     room = lines.shape[0]
     total = np.uint64(0)
@@ -94,7 +93,7 @@ def _sum_up(
 
 
 @helper
-def _agree(
+def _measure_agreement(
     ranges: F32,
     labels: U8,
     groups: I64,
@@ -104,7 +103,7 @@ def _agree(
 ) -> None:
     """Write the share of the shots around that are of a shot's group.
 
-    Noise counts for noise alone.
+    The noise around counts only if the shot is noise.
     """
     m = len(ranges)
     ones = np.uint64((1 << GROUP_BITS) - 1)
@@ -125,7 +124,7 @@ def _agree(
 
 
 @inlined
-def _bits(word: np.uint64) -> int:
+def _count_bits(word: np.uint64) -> int:
     n = 0
     while word != np.uint64(0):
         word &= word - np.uint64(1)
@@ -133,32 +132,24 @@ def _bits(word: np.uint64) -> int:
     return n
 
 
-@inlined
-def _length(word: np.uint64) -> int:
-    """Return the number of the highest bit, counted from one; 0 = none."""
-    n = 0
-    while word != np.uint64(0):
-        word >>= np.uint64(1)
-        n += 1
-    return n
-
-
 @helper
-def _measure_strips(every: Words, rough: Words, strips: F32) -> None:
-    """Write of every strip of a line.
-
-    The share of its slots that is rough, its top, and how much of it is filled.
-    """
+def _measure_strips(slots_by_any: Words, slots_by_rough: Words, strips: F32) -> None:
+    """Write, for every strip of a line, its rough share of slots, its top and its filled height."""
     for b in range(STRIPS):
-        n = _bits(every[b])
-        strips[0, b] = np.float32(_bits(rough[b])) / np.float32(max(n, 1))
-        strips[1, b] = np.float32(_length(every[b])) * SLOT_M
-        strips[2, b] = np.float32(n) * SLOT_M
+        n_filled = _count_bits(slots_by_any[b])
+        n_slots = 0
+        word = slots_by_any[b]
+        while word != np.uint64(0):
+            word >>= np.uint64(1)
+            n_slots += 1
+        strips[0, b] = np.float32(_count_bits(slots_by_rough[b])) / np.float32(max(n_filled, 1))
+        strips[1, b] = np.float32(n_slots) * SLOT_M
+        strips[2, b] = np.float32(n_filled) * SLOT_M
     strips[0, STRIPS] = strips[1, STRIPS] = strips[2, STRIPS] = np.float32(0.0)
 
 
 @helper
-def _measure_places(
+def _measure_around(
     ranges: F32,
     sine: F32,
     strips: F32,
@@ -166,15 +157,12 @@ def _measure_places(
     ahead_m: F32,
     measures: F32,
 ) -> None:
-    """Write what the strips of a line's shots hold, and where their walls are."""
+    """Write the measures of a line's shots that are those of their strips, and of its walls."""
     for i in range(len(ranges)):
         y = ranges[i] * sine[i]
         # limited before it becomes an integer: ranges may be any number
-        place = (
-            min(max(y / STRIP_M, np.float32(-STRIPS)), np.float32(STRIPS))
-            if y == y
-            else np.float32(STRIPS)
-        )
+        limited = min(max(y / STRIP_M, np.float32(-STRIPS)), np.float32(STRIPS))
+        place = limited if y == y else np.float32(STRIPS)
         b = int(np.floor(place)) + STRIPS // 2
         b = b if 0 <= b < STRIPS else STRIPS
         measures[ROUGH, i] = strips[0, b]
@@ -195,7 +183,7 @@ def _measure_shots(
     cosine: F32,
     measures: F32,
 ) -> None:
-    """Write the measures of a line that need nothing but the shot and those beside it."""
+    """Write the measures of a line's shots that need only the shot and the adjacent ones."""
     near, smooth, upright, level = neighbours
     m = len(ranges)
     for i in range(m):
@@ -214,31 +202,6 @@ def _measure_shots(
         measures[JUMP, i] = max(before, after) / max(ranges[i] * PER_METRE, np.float32(1.0))
 
 
-@helper
-def _answer(
-    labels: U8,
-    measures: F32,
-    limits: F32,
-    questions: I64,
-    cells: I32,
-) -> None:
-    """Write the cell of every shot of a line: which steps of its label's measures are reached."""
-    n_steps = limits.shape[1]
-    n_questions = questions.shape[1]
-    for i in range(len(labels)):
-        cells[i] = 0
-        if labels[i] == _MISSING:
-            continue
-        cell = 0
-        for k in range(n_questions):
-            row = questions[labels[i], k]
-            step = 0
-            for j in range(n_steps):
-                step += measures[row, i] >= limits[row, j]
-            cell = cell * (n_steps + 1) + step
-        cells[i] = np.int32(cell)
-
-
 @kernel()
 def confidence_cells(
     labels: U8_2,
@@ -254,7 +217,7 @@ def confidence_cells(
     questions: I64_2,
     limits: F32_2,
 ) -> I32_2:
-    """Find which steps of its label's measures every shot reaches.
+    """Find which steps of its label's measures every shot reaches, as the number of a cell.
 
     ``labels`` (lines, M) uint8; ``range_m, above_m`` (lines, M) float32, metres; ``texture``
     (lines, M) float32; ``neighbours`` (lines, M) uint8; ``slots`` and ``walls`` (lines,
@@ -278,12 +241,28 @@ def confidence_cells(
         if line + LINES < n_lines:
             _count_groups(labels[line + LINES], groups, words[(line + LINES) % room])
         _sum_up(words, max(line - LINES, 0), min(line + LINES + 1, n_lines), sums_before)
-        _agree(range_m[line], labels[line], groups, sums_before, step, measures[AGREE])
+        _measure_agreement(range_m[line], labels[line], groups, sums_before, step, measures[AGREE])
         counts = Neighbours(near[line], smooth[line], upright[line], level[line])
         _measure_shots(range_m[line], above_m[line], texture[line], counts, cosine, measures)
         _measure_strips(slots.by_any[line], slots.by_rough[line], strips)
-        _measure_places(
+        _measure_around(
             range_m[line], sine, strips, walls.side_m[line], walls.ahead_m[line], measures
         )
-        _answer(labels[line], measures, limits, questions, cells[line])
+        # the steps that every measure reaches are the digits of the cell
+        labels_of_line = labels[line]
+        cells_of_line = cells[line]
+        n_steps = limits.shape[1]
+        n_questions = questions.shape[1]
+        for i in range(m):
+            cells_of_line[i] = 0
+            if labels_of_line[i] == _MISSING:
+                continue
+            cell = 0
+            for k in range(n_questions):
+                row = questions[labels_of_line[i], k]
+                n_reached = 0
+                for j in range(n_steps):
+                    n_reached += measures[row, i] >= limits[row, j]
+                cell = cell * (n_steps + 1) + n_reached
+            cells_of_line[i] = np.int32(cell)
     return cells

@@ -41,10 +41,10 @@ def _mark_climbing(
     low: U8,
     climbs: U8,
 ) -> None:
-    """Write heights and places; mark shots near the ground, and where the line climbs.
+    """Write the points of a line; mark the shots near the ground, and those where the line climbs.
 
-    Places are NaN but near the ground. Without branches, so that the compiler can use vector
-    instructions.
+    ``side`` is NaN unless the shot is near the ground. Without branches, so that the compiler can
+    use vector instructions.
     """
     m = len(ranges)
     for i in range(m):
@@ -69,8 +69,8 @@ def _mark_climbing(
 
 
 @helper
-def _piece(i: int, low: U8) -> tuple[int, int]:
-    """Return the first and the last column of the ground around a shot without gaps."""
+def _ends_of_ground(i: int, low: U8) -> tuple[int, int]:
+    """Return the first and last column of the ground around a shot, up to wide gaps."""
     first = last = i
     j = i - 1
     while j >= 0 and first - j <= MOST_GAP + 1:
@@ -90,56 +90,11 @@ def _is_beyond(
     y: np.float32,
     half_m: np.float32,
 ) -> bool:
-    """Return whether one of CHUNK shots is not on a face.
-
-    Without branches, for vector instructions.
-    """
+    """Whether any of CHUNK shots is beyond the face at ``y``; without branches, to be fast."""
     beyond = np.uint8(0)
     for j in range(first, first + CHUNK):
         beyond |= np.uint8(abs(side[j] - y) > half_m)
     return bool(beyond != 0)
-
-
-@inlined
-def _before(
-    i: int,
-    first: int,
-    side: F32,
-    y: np.float32,
-    thresholds: CurbThresholds,
-) -> int:
-    """Return the nearest column before a face whose shot is on the ground beside it, -1 = none.
-
-    From ``first`` on.
-    """
-    j = i - 1
-    first = max(first, i - MOST_COLUMNS)
-    while j >= first and not _is_beyond(side, j + 1, y, thresholds.half_m):
-        j -= CHUNK
-    while j >= first and not abs(side[CHUNK + j] - y) > thresholds.half_m:
-        j -= 1
-    return j if j >= first and abs(side[CHUNK + j] - y) <= thresholds.reach_m else -1
-
-
-@inlined
-def _after(
-    i: int,
-    last: int,
-    side: F32,
-    y: np.float32,
-    thresholds: CurbThresholds,
-) -> int:
-    """Return the nearest column after a face whose shot is on the ground beside it, -1 = none.
-
-    Up to ``last``.
-    """
-    j = i + 1
-    last = min(last, i + MOST_COLUMNS)
-    while j <= last and not _is_beyond(side, CHUNK + j, y, thresholds.half_m):
-        j += CHUNK
-    while j <= last and not abs(side[CHUNK + j] - y) > thresholds.half_m:
-        j += 1
-    return j if j <= last and abs(side[CHUNK + j] - y) <= thresholds.reach_m else -1
 
 
 @inlined
@@ -185,8 +140,9 @@ def curb_labels(
 ) -> U8_2:
     """Label the faces of curbs.
 
-    A shot near the ground is on a face if the line climbs there, and the ground is higher beyond it
-    than before it, most of that within the width of the face, and the shot is between both heights.
+    A shot near the ground is on a face if the line climbs there, the ground is higher beyond the
+    face than before it, most of this rise is within the width of the face, and the shot is between
+    both heights.
 
     ``labels`` (lines, M) uint8; ``range_m, above_m`` (lines, M) float32, metres; ``beams`` (M,)
     float32; returns (lines, M) uint8.
@@ -236,12 +192,27 @@ def curb_labels(
         for k in range(n):
             i = int(shots[k])
             if i > last:
-                first, last = _piece(i, low)
+                first, last = _ends_of_ground(i, low)
             outwards = int(ways[i - APART])
             y = side[CHUNK + i]
             z = height[i]
-            before = _before(i, first, side, y, thresholds)
-            after = _after(i, last, side, y, thresholds)
+            # nearest columns before and after the face with ground beside it, -1 = none
+            before = i - 1
+            lowest = max(first, i - MOST_COLUMNS)
+            while before >= lowest and not _is_beyond(side, before + 1, y, thresholds.half_m):
+                before -= CHUNK
+            while before >= lowest and not abs(side[CHUNK + before] - y) > thresholds.half_m:
+                before -= 1
+            if before < lowest or not abs(side[CHUNK + before] - y) <= thresholds.reach_m:
+                before = -1
+            after = i + 1
+            highest = min(last, i + MOST_COLUMNS)
+            while after <= highest and not _is_beyond(side, CHUNK + after, y, thresholds.half_m):
+                after += CHUNK
+            while after <= highest and not abs(side[CHUNK + after] - y) > thresholds.half_m:
+                after += 1
+            if after > highest or not abs(side[CHUNK + after] - y) <= thresholds.reach_m:
+                after = -1
             inner, outer = (before, after) if outwards > 0 else (after, before)
             # most shots end here
             if (

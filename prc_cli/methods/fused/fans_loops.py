@@ -42,68 +42,8 @@ _FAR = np.float32(1e6)
 
 @helper
 def _is_thing(label: np.uint8) -> bool:
-    """Return whether a label is that of a thing that stands on the ground."""
+    """Whether a label is of something above the ground."""
     return bool((label != _MISSING) & (label != _NOISE) & (label != _GROUND) & (label != _CURB))
-
-
-@helper
-def _list_present(ranges: F32, outwards: I32, shots: I32) -> int:
-    """List the columns of one side with a return, from straight down to straight up.
-
-    Return how many there are.
-    """
-    n = 0
-    for k in range(len(outwards)):
-        i = outwards[k]
-        if ranges[i] == ranges[i]:
-            shots[n] = i
-            n += 1
-    return n
-
-
-@helper
-def _end_of(
-    shots: I32,
-    first: int,
-    labels: U8,
-    side: F32,
-) -> int:
-    """Return where the run of a thing ends that begins at a place of a list, exclusive."""
-    k = first + 1
-    while k < len(shots) and _is_thing(labels[shots[k]]):
-        if not abs(abs(side[shots[k]]) - abs(side[shots[k - 1]])) < JUMP_M:
-            break
-        k += 1
-    return k
-
-
-@helper
-def _extent(
-    shots: I32,
-    side: F32,
-    above: F32,
-    texture: F32,
-) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
-    """Return a run's lowest and highest shot, nearest and farthest side, mean smoothness."""
-    low = _FAR
-    high = -_FAR
-    near = _FAR
-    far = -_FAR
-    total = np.float32(0.0)
-    for i in shots:
-        low = min(low, above[i])
-        high = max(high, above[i])
-        near = min(near, abs(side[i]))
-        far = max(far, abs(side[i]))
-        total += texture[i]
-    return low, high, near, far, total / np.float32(len(shots))
-
-
-@helper
-def _bins_of(near: np.float32, far: np.float32) -> tuple[int, int]:
-    """Return the bins that a thing between two sides may reach, the last one exclusive."""
-    first = max(int(np.floor(min((near - REACH_M) / BIN_M, _FAR))), 0)
-    return min(first, BINS), min(int(np.floor(min((far + REACH_M) / BIN_M, _FAR))) + 1, BINS)
 
 
 @helper
@@ -117,48 +57,62 @@ def _mark_side(
     marks: U8,
     low_things: I32,
 ) -> int:
-    """Mark the bins of the things of a line and side, and of those that are profiles across a roof.
+    """Mark the bins of the things on one side of a line: profiles across a roof, and others.
 
-    Write the first and last shot and bin of those that are low enough for a car, each last one
-    exclusive; return how many there are.
+    ``shots`` are the columns with a return, outwards. Write the first and last shot and bin of the
+    things that are low enough for a car, each last one exclusive; return how many there are.
     """
-    k = n = 0
-    while k < len(shots):
-        if not _is_thing(labels[shots[k]]):
-            k += 1
+    first = n_low = 0
+    while first < len(shots):
+        if not _is_thing(labels[shots[first]]):
+            first += 1
             continue
-        end = _end_of(shots, k, labels, side)
-        low, high, near, far, smooth = _extent(shots[k:end], side, above, texture)
+        end = first + 1
+        while end < len(shots) and _is_thing(labels[shots[end]]):
+            if not abs(abs(side[shots[end]]) - abs(side[shots[end - 1]])) < JUMP_M:
+                break
+            end += 1
+        low = near = _FAR
+        high = far = -_FAR
+        smooth = np.float32(0.0)
+        n_cars = 0
+        for k in range(first, end):
+            i = shots[k]
+            low = min(low, above[i])
+            high = max(high, above[i])
+            near = min(near, abs(side[i]))
+            far = max(far, abs(side[i]))
+            smooth += texture[i]
+            n_cars += labels[i] == np.uint8(_CAR)
+        smooth = smooth / np.float32(end - first)
         is_roof = (high >= thresholds.least_m) & (high <= thresholds.most_m) & (low < FOOT_M)
         is_roof &= (far - near >= LEAST_DEEP_M) & (far - near <= MOST_DEEP_M)
-        is_roof &= (
-            (smooth >= thresholds.smooth) & (end - k >= LEAST_SHOTS) & (k > 0) & (end < len(shots))
-        )
+        is_roof &= (smooth >= thresholds.smooth) & (end - first >= LEAST_SHOTS)
+        is_roof &= (first > 0) & (end < len(shots))
         if is_roof:
-            before = labels[shots[k - 1]]
+            # it stands on the ground, and the line sees far beyond it
+            before = labels[shots[first - 1]]
             is_roof = (before == _GROUND) | (before == _CURB)
             is_roof &= abs(side[shots[end]]) > abs(side[shots[end - 1]]) + JUMP_M
-        n_cars = 0
-        for j in range(k, end):
-            if labels[shots[j]] == np.uint8(_CAR):
-                n_cars += 1
-        is_roof |= 2 * n_cars >= end - k
-        first, last = _bins_of(near, far)
-        for q in range(first, last):
+        is_roof |= 2 * n_cars >= end - first
+        first_bin = max(int(np.floor(min((near - REACH_M) / BIN_M, _FAR))), 0)
+        first_bin = min(first_bin, BINS)
+        last_bin = min(int(np.floor(min((far + REACH_M) / BIN_M, _FAR))) + 1, BINS)
+        for q in range(first_bin, last_bin):
             marks[q] |= _SEED if is_roof else _THING
         if not (high > LOW_M or low >= HIGH_FOOT_M):
-            low_things[n, 0] = k
-            low_things[n, 1] = end
-            low_things[n, 2] = first
-            low_things[n, 3] = last
-            n += 1
-        k = end
-    return n
+            low_things[n_low, 0] = first
+            low_things[n_low, 1] = end
+            low_things[n_low, 2] = first_bin
+            low_things[n_low, 3] = last_bin
+            n_low += 1
+        first = end
+    return n_low
 
 
 @helper
 def _sum_up(marks: U8, bit: np.uint8, sums: I32) -> None:
-    """Write how many of the first 0, 1, ... lines have a mark, for one bin."""
+    """Write, for one bin, how many of the first 0, 1, ... lines have a mark."""
     total = np.int32(0)
     sums[0] = total
     for k in range(len(marks)):
@@ -175,10 +129,7 @@ def _is_car(
     line: int,
     thresholds: FanThresholds,
 ) -> bool:
-    """Return whether enough lines around cross a roof in the bins of a thing.
-
-    In the bin where most do.
-    """
+    """Whether enough lines around a thing cross a roof, in that of its bins in which most do."""
     low = max(line - LINES, 0)
     high = min(line + LINES + 1, seeds.shape[1] - 1)
     most = 0
@@ -234,10 +185,17 @@ def fan_cars(
             side[i] = range_m[k, i] * sine[i]
         for way in range(2):
             row = 2 * k + way
-            present = shots[row, : _list_present(range_m[k], sides[way], shots[row])]
+            # columns with a return, from straight down to straight up
+            outwards = sides[way]
+            n_present = 0
+            for q in range(len(outwards)):
+                i = outwards[q]
+                if range_m[k, i] == range_m[k, i]:
+                    shots[row, n_present] = i
+                    n_present += 1
             marks_of_line = marks[way * BINS : (way + 1) * BINS, k + LINES]
             n_things[row] = _mark_side(
-                present,
+                shots[row, :n_present],
                 labels[k],
                 side,
                 above_m[k],

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.core.types import F32, F32_2, I32, U8, U8_2, U64, U64_2
+from prc_cli.core.types import F32, F32_2, I32, U8_2, U64, U64_2
 from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.records import (
     LORRY_BIN,
@@ -24,7 +24,7 @@ BIN_M = np.float32(0.125)
 LINES = 2
 """Lines before and after that are combined with a line."""
 BINS = 2 * STRIPS
-"""Bins on either side."""
+"""Bins of ground on either side."""
 LEVEL_BIN_M = np.float32(0.25)
 """Width of a bin of level surfaces [m]."""
 BODY_BINS = 6
@@ -34,28 +34,6 @@ MOST_SLOTS = 12
 FEWER = 4
 """Ground seen through the body is less than that beneath, divided by this."""
 _FAR = np.float32(1e6)
-
-
-@helper
-def _count_ground(
-    ranges: F32,
-    above: F32,
-    upright: U8,
-    beams: Beams,
-    soil_m: np.float32,
-    bins: I32,
-    depths: F32,
-) -> None:
-    """Count ground shots by bin of a line; write their depth below the scanner."""
-    sine, cosine = beams
-    bins[:] = 0
-    for i in range(len(ranges)):
-        if (abs(above[i]) < soil_m) & (upright[i] <= 1):
-            y = ranges[i] * sine[i]
-            q = int(np.floor(min(max(y / BIN_M, -_FAR), _FAR))) + BINS
-            if 0 <= q < 2 * BINS:
-                bins[q] += 1
-                depths[q] = ranges[i] * cosine[i]
 
 
 @helper
@@ -75,43 +53,38 @@ def _add_around(
 
 
 @helper
-def _is_upright(wall: F32, b: int) -> bool:
-    """Return whether a line has something upright in a strip or beside it."""
-    return bool(wall[b] > 0 or wall[max(b - 1, 0)] > 0 or wall[min(b + 1, STRIPS - 1)] > 0)
-
-
-@helper
-def _ground_behind(
+def _ground_past_sill(
     bins: I32,
     depths: F32,
     side: int,
     away: np.float32,
     thresholds: FlankThresholds,
 ) -> tuple[int, int]:
-    """Count the ground that is seen beneath a body at a distance, and through it.
+    """Count the ground that is seen beneath the sill of a body at a distance, and through it.
 
-    By the height at which the line of sight passes the flank: below the sill, or above. At twice
-    the distance of the flank it passes at half the height of the scanner.
+    The height at which the line of sight passes the flank decides: below the sill, or above. To
+    ground at twice the distance of the flank it passes at half the height of the scanner.
     """
-    beneath = beyond = 0
+    beneath = through = 0
     first = min(int(min(away / BIN_M, _FAR)), BINS)
     for j in range(first, min(2 * first, BINS)):
         q = BINS + j if side == 0 else BINS - 1 - j
         if bins[q] == 0:
             continue
-        passes = depths[q] * (np.float32(1.0) - away / ((np.float32(j) + np.float32(0.5)) * BIN_M))
-        if passes > thresholds.body_m:
+        middle_m = (np.float32(j) + np.float32(0.5)) * BIN_M
+        passes_m = depths[q] * (np.float32(1.0) - away / middle_m)
+        if passes_m > thresholds.body_m:
             break
-        if thresholds.low_m <= passes <= thresholds.sill_m:
+        if thresholds.low_m <= passes_m <= thresholds.sill_m:
             beneath += bins[q]
-        elif passes > thresholds.sill_m:
-            beyond += bins[q]
-    return beneath, beyond
+        elif passes_m > thresholds.sill_m:
+            through += bins[q]
+    return beneath, through
 
 
 @inlined
 def _bottom(slots: U64, b: int, away: np.float32) -> np.float32:
-    """Return the height above ground of what a line sees at a flank, its foot included [m]."""
+    """Return the height above ground at which a body at a distance starts, 0 at its foot [m]."""
     half = STRIPS // 2
     strip = min(int(away / STRIP_M), half - 1)
     nearer = max(strip - 1, 0)
@@ -127,26 +100,27 @@ def _bottom(slots: U64, b: int, away: np.float32) -> np.float32:
 
 
 @helper
-def _ground_below(
+def _ground_past_bottom(
     bins: I32,
     depths: F32,
     side: int,
     away: np.float32,
     bottom: np.float32,
 ) -> tuple[int, int]:
-    """Count ground seen below the bottom of a body, and ground seen through the body."""
-    beneath = beyond = 0
+    """Count the ground that is seen beneath the bottom of a high body, and through the body."""
+    beneath = through = 0
     first = min(int(min(away / BIN_M, _FAR)), BINS)
     for j in range(first, min(2 * first, BINS)):
         q = BINS + j if side == 0 else BINS - 1 - j
         if bins[q] == 0:
             continue
-        passes = depths[q] * (np.float32(1.0) - away / ((np.float32(j) + np.float32(0.5)) * BIN_M))
-        if np.float32(0.5) * bottom <= passes <= bottom:
+        middle_m = (np.float32(j) + np.float32(0.5)) * BIN_M
+        passes_m = depths[q] * (np.float32(1.0) - away / middle_m)
+        if np.float32(0.5) * bottom <= passes_m <= bottom:
             beneath += bins[q]
-        elif passes > bottom + SLOT_M:
-            beyond += bins[q]
-    return beneath, beyond
+        elif passes_m > bottom + SLOT_M:
+            through += bins[q]
+    return beneath, through
 
 
 @kernel()
@@ -160,9 +134,9 @@ def find_flanks(
     levels: U8_2,
     thresholds: FlankThresholds,
 ) -> tuple[U8_2, U8_2]:
-    """Find strips with the flank of a vehicle.
+    """Find strips with the flank of a vehicle: ground is seen right beneath it, and not through it.
 
-    Ground is seen right beneath it, and none farther behind.
+    Beneath the sill of a low body, or beneath the bottom of a high one, as a lorry's.
 
     ``range_m, above_m`` (lines + 4, M) float32, metres; ``upright`` (lines + 4, M) uint8; ``beams``
     (M,) float32; ``sums`` (lines + 4, STRIPS) float32; ``slots`` (lines + 4,
@@ -184,15 +158,20 @@ def find_flanks(
     least = thresholds.least_m * np.float32(room)
     most = thresholds.most_m * np.float32(room)
     for k in range(n_lines + 2 * LINES):
-        _count_ground(
-            range_m[k],
-            above_m[k],
-            upright[k],
-            beams,
-            thresholds.soil_m,
-            bins[k % room],
-            depths[k % room],
-        )
+        # ground shots of the line by bin, and their depth below the scanner
+        ranges = range_m[k]
+        above = above_m[k]
+        chords = upright[k]
+        bins_of_line = bins[k % room]
+        depths_of_line = depths[k % room]
+        bins_of_line[:] = 0
+        for i in range(len(ranges)):
+            if (abs(above[i]) < thresholds.soil_m) & (chords[i] <= 1):
+                y = ranges[i] * beams.sine[i]
+                q = int(np.floor(min(max(y / BIN_M, -_FAR), _FAR))) + BINS
+                if 0 <= q < 2 * BINS:
+                    bins_of_line[q] += 1
+                    depths_of_line[q] = ranges[i] * beams.cosine[i]
         if k < 2 * LINES:
             continue
         line = k - 2 * LINES
@@ -211,38 +190,47 @@ def find_flanks(
                 continue
             away = abs(places[b] / walls[b])
             side = 0 if b >= STRIPS // 2 else 1
-            beneath = beyond = below = through = 0
+            beneath_sill = through_low = beneath_bottom = through_high = 0
             lowest = _FAR
             highest = np.float32(0.0)
             for c in range(line, line + room):
-                # lines beside a post see the ground behind it
-                if not _is_upright(wall[c], b):
+                # lines without something upright in the strip see the ground behind a post
+                wall_m = wall[c]
+                if not (
+                    wall_m[b] > 0 or wall_m[max(b - 1, 0)] > 0 or wall_m[min(b + 1, STRIPS - 1)] > 0
+                ):
                     continue
-                low, high = _ground_behind(bins[c % room], depths[c % room], side, away, thresholds)
-                beneath += low
-                beyond += high
+                bins_of_line = bins[c % room]
+                depths_of_line = depths[c % room]
+                beneath, through = _ground_past_sill(
+                    bins_of_line, depths_of_line, side, away, thresholds
+                )
+                beneath_sill += beneath
+                through_low += through
                 bottom = _bottom(slots[c], b, away)
                 if thresholds.body_m <= bottom <= thresholds.high_m:
-                    low, high = _ground_below(bins[c % room], depths[c % room], side, away, bottom)
-                    below += low
-                    through += high
+                    beneath, through = _ground_past_bottom(
+                        bins_of_line, depths_of_line, side, away, bottom
+                    )
+                    beneath_bottom += beneath
+                    through_high += through
                     lowest = min(lowest, bottom)
                     highest = max(highest, bottom)
-            big = walls[b] >= thresholds.large_m * np.float32(room)
-            is_low = np.float32(beneath) >= thresholds.shots and beyond * FEWER <= beneath
+            is_low = (
+                np.float32(beneath_sill) >= thresholds.shots and through_low * FEWER <= beneath_sill
+            )
             # a slanted plane meets the edge of a house higher from line to line
             is_even = highest - lowest <= SLOT_M
-            hangs = (
-                big
+            is_high = (
+                walls[b] >= thresholds.large_m * np.float32(room)
                 and is_even
-                and np.float32(below) >= thresholds.shots
-                and through * FEWER <= below
+                and np.float32(beneath_bottom) >= thresholds.shots
+                and through_high * FEWER <= beneath_bottom
             )
-            if is_low or hangs:
+            if is_low or is_high:
                 flanks[line, b] = 1
                 first = int(min(away / LEVEL_BIN_M, _FAR))
+                mark = np.uint8(LORRY_BIN | 1 if is_high else 1)
                 for j in range(first, min(first + BODY_BINS, STRIPS)):
-                    all_levels[line, STRIPS + j if side == 0 else STRIPS - 1 - j] |= np.uint8(
-                        LORRY_BIN | 1 if hangs else 1
-                    )
+                    all_levels[line, STRIPS + j if side == 0 else STRIPS - 1 - j] |= mark
     return flanks, all_levels

@@ -20,7 +20,7 @@ DEPTHS = 1000
 DEPTH_M = np.float32(0.1)
 """Number of depths at which the ground is searched, and their distance [m]."""
 LOST_LINES = 32
-"""Where no ground was known for so many lines with level shots, it is searched anew."""
+"""If no ground was known for so many lines with level shots, it is searched again."""
 MISSED_SHOTS = 16
 MISSED_LINES = 8
 MISSED_M = np.float32(0.6)
@@ -30,21 +30,6 @@ START_FOLLOW = np.float32(0.005)
 """Share of a new height in the start: that of a single line may be a car's."""
 MANY = np.float32(0.25)
 """The ground is the lowest depth with this share of the level shots of the commonest depth."""
-
-
-@helper
-def _start(
-    memory: F32,
-    age: I32,
-    start_m: np.float32,
-    lines: np.float32,
-) -> np.float32:
-    """Return the height at which a walk starts: that of the nearest remembered place."""
-    for b in range(BINS):
-        if np.float32(age[b]) < lines:
-            start_m = memory[b]
-            break
-    return start_m
 
 
 @helper
@@ -58,16 +43,17 @@ def _nearest(heights: F32, ages: I32, lines: np.float32) -> tuple[bool, np.float
 
 
 @helper
-def _search(
+def _count_depths(
     points: Points,
     is_level: U8,
     reach_m: np.float32,
     counts: F32,
     sums: F32,
 ) -> bool:
-    """Count the level shots of a line at every depth below the scanner, near ones and all.
+    """Count the level shots of a line at every depth below the scanner.
 
-    Return whether any.
+    Row 0 of ``counts`` and ``sums`` is of shots near the scanner, row 1 of all. Return whether the
+    line has such a shot.
     """
     side, height = points
     is_any = False
@@ -93,7 +79,7 @@ def _misses_ground(
     walked: Mask,
     reach_m: np.float32,
 ) -> bool:
-    """Return whether more level shots near the scanner lie below the known ground than on it."""
+    """Whether more level shots near the scanner lie below the known ground than on it."""
     side, height = points
     n_below = 0
     n_walked = 0
@@ -105,25 +91,18 @@ def _misses_ground(
 
 
 @helper
-def _forget(ages: I32, counts: F32, sums: F32) -> None:
-    """Forget all places, and the level shots that were counted."""
-    for s in range(2):
-        for b in range(BINS):
-            ages[s, b] = MOST_AGE
-        _clear(counts[s], sums[s])
-
-
-@helper
 def _clear(counts: F32, sums: F32) -> None:
-    for d in range(DEPTHS):
-        counts[d] = sums[d] = np.float32(0.0)
+    """Forget the counted level shots."""
+    for s in range(2):
+        for d in range(DEPTHS):
+            counts[s, d] = sums[s, d] = np.float32(0.0)
 
 
 @helper
 def _lowest(counts: F32, sums: F32) -> np.float32:
-    """Return the mean height of the lowest depth with many level shots.
+    """Return the mean height of the lowest depth with many level shots; at least one was counted.
 
-    There is at least one shot.
+    Shots near the scanner decide, if there are any.
     """
     row = 1
     most = np.float32(0.0)
@@ -143,7 +122,7 @@ def _lowest(counts: F32, sums: F32) -> np.float32:
 
 @inlined
 def _seen_height(before: np.float32, is_seen: np.uint8, mean: np.float32) -> np.float32:
-    """Return the height of a place that the walk leaves: the mean of both visits if there were two.
+    """Return the height of a place that the walk leaves, the mean of two visits if it came back.
 
     Takes no arrays: passing them for every place costs more than the rest of the walk.
     """
@@ -159,7 +138,7 @@ def _mark_level(
     least: np.float32,
     is_level: U8,
 ) -> None:
-    """Mark the shots of a line that a walk may use."""
+    """Mark the shots of a line on a level surface, which alone a walk may use."""
     for i in range(len(near)):
         is_level[i] = np.uint8(
             (np.float32(near[i]) >= least) & (smooth[i] > 0) & (level[i] > upright[i])
@@ -182,9 +161,14 @@ def _walk(
     walked: Mask,
 ) -> None:
     """Follow the ground outwards on one side of a line, in small steps of height."""
-    last_y = np.float32(0.0)
-    last_z = _start(memory, age, start_m, thresholds.memory_lines)
     lines = thresholds.memory_lines
+    # starts at the height of the nearest remembered place
+    last_y = np.float32(0.0)
+    last_z = start_m
+    for b in range(BINS):
+        if np.float32(age[b]) < lines:
+            last_z = memory[b]
+            break
     near_m = thresholds.known_m
     step = thresholds.step_m
     slope = thresholds.slope
@@ -272,8 +256,20 @@ def _fill(profile: F32, seen: U8, start_m: np.float32) -> None:
 
 
 @helper
-def _places(side: F32, places: I32, shares: F32) -> None:
-    """Write the place before every shot in both profiles, and the share of the next one."""
+def _measure_heights(
+    points: Points,
+    profiles: F32,
+    places: I32,
+    shares: F32,
+    grounds: F32,
+    above: F32,
+) -> None:
+    """Write the heights of the shots of a line above the ground.
+
+    Step by step, because only a loop that reads memory in order uses vector instructions.
+    """
+    side, height = points
+    # the place before every shot in both profiles, and the share of the next one
     half = np.float32(0.5)
     for i in range(len(side)):
         y = side[i] if side[i] == side[i] else np.float32(0.0)
@@ -282,56 +278,18 @@ def _places(side: F32, places: I32, shares: F32) -> None:
         b = min(np.int32(place), np.int32(BINS - 2))
         shares[i] = min(place - np.float32(b), np.float32(1.0))
         places[i] = b if y >= np.float32(0.0) else b + np.int32(BINS)
-
-
-@helper
-def _grounds(
-    places: I32,
-    shares: F32,
-    profiles: F32,
-    grounds: F32,
-) -> None:
-    """Write the height of the ground under every shot of a line."""
     for i in range(len(places)):
-        b = np.uint64(places[i])
-        inner = profiles[b]
-        outer = profiles[b + np.uint64(1)]
+        place_before = np.uint64(places[i])
+        inner = profiles[place_before]
+        outer = profiles[place_before + np.uint64(1)]
         grounds[i] = inner + (outer - inner) * shares[i]
-
-
-@helper
-def _heights(
-    side: F32,
-    height: F32,
-    grounds: F32,
-    above: F32,
-) -> None:
-    """Write the heights of the shots of a line above the ground."""
     for i in range(len(side)):
         above[i] = height[i] - grounds[i] if side[i] == side[i] else np.float32(np.nan)
 
 
 @helper
-def _lay_out(
-    ranges: F32,
-    beams: Beams,
-    side: F32,
-    height: F32,
-) -> None:
-    """Write the points of a line in the scan plane."""
-    sine, cosine = beams
-    for i in range(len(ranges)):
-        side[i] = ranges[i] * sine[i]
-    for i in range(len(ranges)):
-        height[i] = -(ranges[i] * cosine[i])
-
-
-@helper
 def _copy(memory: WalkMemory, to: WalkMemory) -> None:
-    """Copy a memory of the ground.
-
-    Element by element, because array copies take seconds to compile.
-    """
+    """Copy element by element, because array copies take seconds to compile."""
     heights, ages, counts, sums = memory
     to_heights, to_ages, to_counts, to_sums = to
     for s in range(2):
@@ -344,8 +302,7 @@ def _copy(memory: WalkMemory, to: WalkMemory) -> None:
 
 
 @helper
-def _empty() -> WalkMemory:
-    """Return room for a memory of the ground."""
+def _empty_memory() -> WalkMemory:
     return WalkMemory(
         np.empty((2, BINS), np.float32),
         np.empty((2, BINS), np.int32),
@@ -363,11 +320,12 @@ def _start_of_line(
     is_level: U8,
     thresholds: WalkThresholds,
 ) -> tuple[np.float32, int]:
-    """Return the start of a walk whose side is not known, and since how many lines.
+    """Return the height at which a walk starts, and for how many lines the ground has been lost.
 
-    That is the height of the nearest known place in the lines before, and where the ground is lost
-    for long or was never known, a depth with many level shots of the lines since then. The number
-    is negative if it was never known.
+    The start is used on a side where no place is remembered. It follows the nearest remembered
+    place. If the ground is lost for long, or was never known, it is the lowest depth with many
+    level shots in the lines since then. The number of lines is negative if the ground was never
+    known.
     """
     heights, ages, counts, sums = memory
     is_known, nearest_m = _nearest(heights, ages, thresholds.memory_lines)
@@ -375,10 +333,9 @@ def _start_of_line(
         start_m = start_m + (nearest_m - start_m) * START_FOLLOW if lost >= 0 else nearest_m
         # counts of earlier lines go when the ground is known again
         if lost != 0:
-            for s in range(2):
-                _clear(counts[s], sums[s])
+            _clear(counts, sums)
         return start_m, 0
-    if _search(points, is_level, thresholds.start_reach_m, counts, sums):
+    if _count_depths(points, is_level, thresholds.start_reach_m, counts, sums):
         lost = lost - 1 if lost < 0 else lost + 1
         if lost < 0 or lost >= LOST_LINES:
             start_m = _lowest(counts, sums)
@@ -402,8 +359,8 @@ def walk_ground(
 
     A stream may begin with a part of the scene: a tile shows distant ledges or the roof of a car
     first, and the walk stays on them. So lines are counted in which the walk misses level shots
-    near the scanner that lie below it (``missed``); after some in a row all is forgotten, and the
-    walk begins at these shots.
+    near the scanner that lie below it (``missed``). After some in a row the memory is cleared, and
+    the walk starts at these shots. The memory that is returned is that before line ``keep``.
 
     ``range_m`` (lines, M) float32, metres; ``beams`` (M,) float32; ``counts`` tuple of
     (lines, M) uint8; ``sides`` (n,) int32; returns ``above_m`` (lines, M) float32, metres,
@@ -412,8 +369,8 @@ def walk_ground(
     n_lines, m = range_m.shape
     above = np.empty((n_lines, m), np.float32)
     walked = np.empty((n_lines, m), np.bool_)
-    now = _empty()
-    kept = _empty()
+    now = _empty_memory()
+    kept = _empty_memory()
     kept_start = start_m
     kept_lost = lost
     kept_missed = missed
@@ -436,7 +393,11 @@ def walk_ground(
             kept_start = start_m
             kept_lost = lost
             kept_missed = missed
-        _lay_out(range_m[line], beams, side, height)
+        ranges = range_m[line]
+        for i in range(m):
+            side[i] = ranges[i] * beams.sine[i]
+        for i in range(m):
+            height[i] = -(ranges[i] * beams.cosine[i])
         _mark_level(
             near[line], smooth[line], upright[line], level[line], thresholds.least_near, is_level
         )
@@ -469,21 +430,21 @@ def walk_ground(
             )
             _remember(profile, seen, heights[s], ages[s], thresholds)
             _fill(profile, seen, start_m)
-        _places(side, places, shares)
-        _grounds(places, shares, profiles, grounds)
-        _heights(side, height, grounds, above[line])
+        _measure_heights(points, profiles, places, shares, grounds, above[line])
         if _misses_ground(points, is_level, above[line], walked_of_line, thresholds.start_reach_m):
             missed += 1
-            _search(points, is_level, thresholds.start_reach_m, shots, sums)
+            _count_depths(points, is_level, thresholds.start_reach_m, shots, sums)
             if missed >= MISSED_LINES:
                 start_m = _lowest(shots, sums)
-                _forget(ages, shots, sums)
+                for s in range(2):
+                    for b in range(BINS):
+                        ages[s, b] = MOST_AGE
+                _clear(shots, sums)
                 missed = 0
                 lost = 0
         elif missed > 0:
             missed = 0
-            for s in range(2):
-                _clear(shots[s], sums[s])
+            _clear(shots, sums)
     if keep >= n_lines:
         _copy(now, kept)
         kept_start = start_m

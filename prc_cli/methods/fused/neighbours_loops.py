@@ -20,9 +20,9 @@ LINES = 2
 COLUMNS = 4
 """Greatest distance of neighbours, in lines and columns."""
 MOST_STRIDE = 8
-"""Every so many columns are compared at most."""
+"""Greatest number of columns from a shot to the shots that it is compared with."""
 PIECE = 128
-"""Columns that are looked at together for such a stride."""
+"""Columns that are compared together with the same stride."""
 MOST_COLUMNS = 60
 """Greatest half length of a chord, in columns."""
 PAD = MOST_COLUMNS + 2
@@ -69,8 +69,8 @@ def _lay_out(
 
 
 @helper
-def _margins(m: int) -> F32:
-    """Return a buffer for the points of five lines, with NaN in the margins."""
+def _empty_lines(m: int) -> F32:
+    """Return a buffer for a coordinate of five lines, with NaN in the margins."""
     rows = np.empty((2 * LINES + 1, m + 2 * COLUMNS), np.float32)
     for row in range(2 * LINES + 1):
         for i in range(COLUMNS):
@@ -86,7 +86,7 @@ def _is_near(
     thin: np.float32,
     along: np.float32,
 ) -> np.uint8:
-    """Return whether two points are close, or on one level or upright surface at grazing incidence.
+    """Whether two points are close, or on one level or upright surface at grazing incidence.
 
     ``along`` is not less than ``near``.
     """
@@ -166,9 +166,7 @@ def near_counts(
     step: np.float32,
     thresholds: NearThresholds,
 ) -> U8_2:
-    """Count the near neighbours of every shot.
-
-    Of 8 in its line and 20 in the two lines before and after.
+    """Count the near neighbours of every shot, of 8 in its line and 20 in the four lines around.
 
     ``range_m`` (lines + 4, M) float32, metres; ``sine, cosine`` (M,) float32; returns (lines, M)
     uint8.
@@ -184,8 +182,8 @@ def near_counts(
     near = np.empty(m, np.float32)
     along = np.empty(m, np.float32)
     # ring buffers of lines
-    side = _margins(m)
-    height = _margins(m)
+    side = _empty_lines(m)
+    height = _empty_lines(m)
     room = 2 * LINES + 1
     for line in range(range_m.shape[0]):
         _lay_out(range_m[line], Beams(sine, cosine), side[line % room], height[line % room])
@@ -225,10 +223,7 @@ def _on_line(
     tolerance: np.float32,
     gap: np.float32,
 ) -> np.uint8:
-    """Return whether a point lies on the line through two others that are close.
-
-    Both limits are squared.
-    """
+    """Whether a point is on the line through two others that are close; limits are squared."""
     dy = by - ay
     dz = bz - az
     long = dy * dy + dz * dz
@@ -246,7 +241,7 @@ def _between(
     z: np.float32,
     tolerance: np.float32,
 ) -> np.uint8:
-    """Return whether a point lies midway between two others; the tolerance is squared."""
+    """Whether a point lies midway between two others; the tolerance is squared."""
     half = np.float32(0.5)
     dy = (ay + by) * half - y
     dz = (az + bz) * half - z
@@ -262,7 +257,7 @@ def _pairs_in_line(
     thresholds: SmoothThresholds,
     row: U8,
 ) -> None:
-    """Count the pairs of a line, which has margins, that its shots lie on a straight line with."""
+    """Count the pairs of neighbours in the line that a shot lies on a straight line with."""
     base = thresholds.tolerance_m
     per_m = thresholds.tolerance_per_m
     gap_m = thresholds.gap_m
@@ -293,15 +288,15 @@ def _pairs_in_line(
 
 
 @helper
-def _strides(
+def _write_strides(
     ranges: F32,
     step: np.float32,
     thresholds: SmoothThresholds,
     strides: I32,
 ) -> None:
-    """Write with every how many columns the shots of a line are compared.
+    """Write how many columns the shots are away that each shot of a line is compared with.
 
-    Fewer at its ends, one for missing shots.
+    Less at the ends of the line, 1 for missing shots.
     """
     m = len(ranges)
     most = np.float32(MOST_STRIDE)
@@ -310,11 +305,9 @@ def _strides(
     for i in range(m):
         spacing = ranges[i] * step  # NaN stays NaN, which no comparison holds for
         columns = apart / spacing
-        strides[i] = (
-            np.int32(min(columns, most))
-            if columns >= np.float32(2.0)
-            else np.int32(1) + (spacing <= leaf)
-        )
+        dense = np.int32(min(columns, most))
+        sparse = np.int32(1) + (spacing <= leaf)
+        strides[i] = dense if columns >= np.float32(2.0) else sparse
     for i in range(min(2 * MOST_STRIDE, m)):
         inside = np.int32(max(i // 2, 1))
         strides[i] = min(strides[i], inside)
@@ -322,7 +315,7 @@ def _strides(
 
 
 @helper
-def _pairs_farther(
+def _pairs_with_stride(
     ranges: F32,
     side: F32,
     height: F32,
@@ -331,9 +324,10 @@ def _pairs_farther(
     strides: I32,
     row: U8,
 ) -> None:
-    """Count the pairs in a line anew for shots that are compared with every second column or fewer.
+    """Count the pairs in the line again for shots that are compared with a stride of 2 or more.
 
-    Piece by piece, once for every stride there: with one stride the pairs are shifted arrays.
+    Piece by piece, once for every stride in the piece: with one stride the pairs are shifted
+    arrays.
     """
     base = thresholds.tolerance_m
     per_m = thresholds.tolerance_per_m
@@ -392,10 +386,7 @@ def _pairs_across(
     thresholds: SmoothThresholds,
     row: U8,
 ) -> None:
-    """Add the pairs of shots before and after a line that its shots lie in the middle between.
-
-    All have margins.
-    """
+    """Add the pairs across the lines, one shot before and one after, that a shot lies midway in."""
     base = thresholds.tolerance_m
     per_m = thresholds.tolerance_per_m
     ya, yb, yc, yd, ye = sides
@@ -421,9 +412,9 @@ def smooth_counts(
     step: np.float32,
     thresholds: SmoothThresholds,
 ) -> U8_2:
-    """Count the pairs of neighbours that a shot lies on a smooth surface with.
+    """Count the pairs of neighbours that a shot lies on a smooth surface with, of ten pairs.
 
-    6 in its line, 4 across the lines.
+    Six pairs are in its line, four across the lines.
 
     In the line, a shot must lie on the straight line through the pair. Where columns are nearer to
     each other than ``apart_m``, every second, third, ... column is compared, up to
@@ -437,8 +428,8 @@ def smooth_counts(
     n_lines = range_m.shape[0] - 2 * LINES
     counts = np.empty((n_lines, m), np.uint8)
     strides = np.empty(m, np.int32)
-    side = _margins(m)
-    height = _margins(m)
+    side = _empty_lines(m)
+    height = _empty_lines(m)
     room = 2 * LINES + 1
     for line in range(range_m.shape[0]):
         _lay_out(range_m[line], Beams(sine, cosine), side[line % room], height[line % room])
@@ -452,8 +443,8 @@ def smooth_counts(
         d = (line - 1) % room
         e = line % room
         _pairs_in_line(ranges, side[c], height[c], step, thresholds, row)
-        _strides(ranges, step, thresholds, strides)
-        _pairs_farther(ranges, side[c], height[c], step, thresholds, strides, row)
+        _write_strides(ranges, step, thresholds, strides)
+        _pairs_with_stride(ranges, side[c], height[c], step, thresholds, strides, row)
         sides = FiveLines(side[a], side[b], side[c], side[d], side[e])
         heights = FiveLines(height[a], height[b], height[c], height[d], height[e])
         _pairs_across(ranges, sides, heights, thresholds, row)
@@ -468,27 +459,23 @@ def _is_upright(
     slack: np.float32,
     longest: np.float32,
 ) -> np.uint8:
-    """Return whether a chord is upright and not too long.
-
-    With the arguments exchanged, whether it is level.
-    """
+    """Whether a chord is upright and not too long; with ``dy`` and ``dz`` exchanged, level."""
     return np.uint8((abs(dy) <= slope * abs(dz) + slack) & (dy * dy + dz * dz <= longest))
 
 
 @helper
-def _ends(
+def _write_ends(
     values: F32,
     smooth: U8,
     way: int,
     shown: F32,
     ends: F32,
 ) -> None:
-    """Write where the chords of a line end.
+    """Write a coordinate of the points at which chords that end in a column end.
 
-    At a column if it is smooth, else the next one out, else the next one in.
-
-    ``way`` is out: -1 or 1. Column 0 is at PAD, and what lies beyond the line stays NaN. The second
-    half of ``ends`` is for shots to which the next one in is themselves.
+    That is the column if it is smooth, else the next one outwards, else the next one inwards.
+    ``way`` is outwards: -1 or 1. Column 0 is at PAD, and columns beyond the line stay NaN. In the
+    second half of ``ends`` the next one inwards is left out: it would be the shot itself.
     """
     n = len(shown)
     for i in range(len(values)):
@@ -500,31 +487,9 @@ def _ends(
     two = ends[n + 1 : 2 * n - 1]
     for i in range(n - 2):
         # NaN marks columns that are not smooth
-        further = middle[i] if middle[i] == middle[i] else out[i]
-        two[i] = further
-        three[i] = further if further == further else back[i]
-
-
-@helper
-def _look_up(
-    reach: I32,
-    way: int,
-    ends: Points,
-    chord_ends: Points,
-) -> None:
-    """Write the ends of the chords of a line.
-
-    a loop of its own, as all others read memory in order.
-    """
-    m = len(reach)
-    n = m + 2 * PAD
-    side, height = ends
-    side_of_shot, height_of_shot = chord_ends
-    for i in range(m):
-        columns = int(reach[i])
-        place = np.uint64(PAD + i + way * columns + (n if columns == 1 else 0))
-        side_of_shot[i] = side[place]
-        height_of_shot[i] = height[place]
+        first = middle[i] if middle[i] == middle[i] else out[i]
+        two[i] = first
+        three[i] = first if first == first else back[i]
 
 
 @helper
@@ -536,9 +501,9 @@ def _count_chords(
     upright: U8,
     level: U8,
 ) -> None:
-    """Count the chords of a line that are upright, and level.
+    """Count the upright and the level ones of the chords through the shots of a line.
 
-    To one end, to the other, from end to end.
+    There are three: from the shot to one end, to the other, and from end to end.
     """
     slope = thresholds.slope
     slack = thresholds.slack_m
@@ -595,7 +560,7 @@ def directions(
     for i in range(n):
         shown[i] = np.float32(np.nan)
     for i in range(2 * n):
-        ends[0][i] = ends[1][i] = np.float32(np.nan)
+        ends.side_m[i] = ends.height_m[i] = np.float32(np.nan)
     before = Points(np.empty(m, np.float32), np.empty(m, np.float32))
     after = Points(np.empty(m, np.float32), np.empty(m, np.float32))
     chord = thresholds.chord_m
@@ -610,8 +575,14 @@ def directions(
         for i in range(m):
             height[i] = -(ranges[i] * cosine[i])
         for way in (-1, 1):
-            _ends(side, smooth[line], way, shown, ends[0])
-            _ends(height, smooth[line], way, shown, ends[1])
-            _look_up(reach, way, ends, before if way < 0 else after)
+            _write_ends(side, smooth[line], way, shown, ends.side_m)
+            _write_ends(height, smooth[line], way, shown, ends.height_m)
+            # a loop of its own: the other loops read memory in order, and use vector instructions
+            chord_ends = before if way < 0 else after
+            for i in range(m):
+                columns_away = int(reach[i])
+                place = np.uint64(PAD + i + way * columns_away + (n if columns_away == 1 else 0))
+                chord_ends.side_m[i] = ends.side_m[place]
+                chord_ends.height_m[i] = ends.height_m[place]
         _count_chords(Points(side, height), before, after, thresholds, upright[line], level[line])
     return upright, level

@@ -14,9 +14,9 @@ Words = NDArray[np.uint64]
 
 LINES = 3
 COLUMNS = 8
-"""Greatest distance of the shots that are asked about, in lines and columns."""
+"""Greatest distance of the shots around whose range is looked at, in lines and columns."""
 BESIDE_LINES = 1
-"""The same of the shots whose label is asked for, in lines."""
+"""Greatest distance of those whose label is looked at, in lines."""
 SMOOTH = 2
 """Smooth pairs of a shot that is on a surface."""
 MOST_FELLOWS = 1
@@ -30,7 +30,8 @@ _LEAVES = int(Label.VEGETATION)
 _ALONE = np.uint8(1)
 _MIRRORED = np.uint8(2)
 _LOST = np.uint8(4)
-"""Bits of what is asked of a shot."""
+"""Bits of the questions about a shot: whether its range is alone, whether it is a mirror image,
+and, if it is noise, whether it is a leaf."""
 _RANGE_ALONE = np.uint8(Reason.RANGE_ALONE)
 _MIRROR_IMAGE = np.uint8(Reason.MIRRORED)
 _LEAF = np.uint8(Reason.LEAF)
@@ -38,7 +39,7 @@ _FAR = np.float32(1e9)
 
 
 @helper
-def _mark(
+def _mark_questions(
     labels: U8,
     smooth: U8,
     texture: F32,
@@ -46,10 +47,7 @@ def _mark(
     thresholds: AgainThresholds,
     marks: U8,
 ) -> None:
-    """Mark the rough shots of a line that may be alone, and noise that may be a leaf.
-
-    Without branches, as few are.
-    """
+    """Mark the rough shots of a line that may be alone, and noise that may be a leaf."""
     rough = thresholds.alone_texture
     foot = thresholds.foot_m
     for i in range(len(labels)):
@@ -61,10 +59,7 @@ def _mark(
 
 @helper
 def _mark_amid_cars(labels: U8, smooth: U8, marks: U8) -> None:
-    """Mark the rough shots of a line with a car on both sides.
-
-    One of the two shots there is part of it.
-    """
+    """Mark the rough shots of a line that have a car among the two shots on either side."""
     m = len(labels)
     cars = 0
     car = np.uint8(_CAR)
@@ -86,7 +81,7 @@ def _mark_amid_cars(labels: U8, smooth: U8, marks: U8) -> None:
 
 
 @helper
-def _list(words: Words, marks: U8, shots: I32) -> int:
+def _list_marked(words: Words, marks: U8, shots: I32) -> int:
     """List the marked shots of a line, return how many there are; eight marks are one word."""
     n = 0
     for w in range(len(words)):
@@ -108,9 +103,9 @@ def _is_mirrored(
     before: int,
     thresholds: AgainThresholds,
 ) -> bool:
-    """Whether a shot lies in a car, behind its panes and body, and on no surface.
+    """Whether a shot lies behind the panes and body of a car, and on no surface.
 
-    ``labels`` begins ``before`` lines after the others.
+    ``labels`` starts ``before`` lines after the other arrays.
     """
     m = range_m.shape[1]
     shot_m = range_m[line, i]
@@ -172,10 +167,7 @@ def _is_leaf(
     before: int,
     thresholds: AgainThresholds,
 ) -> bool:
-    """Return whether leaves around are about as far as a lonely shot.
-
-    ``labels`` begins ``before`` lines later.
-    """
+    """Whether enough leaves around a shot are about as far; ``labels`` starts ``before`` later."""
     leaves = np.int32(0)
     for k in range(line - BESIDE_LINES, line + BESIDE_LINES + 1):
         for j in range(max(i - COLUMNS, 0), min(i + COLUMNS + 1, range_m.shape[1])):
@@ -194,9 +186,9 @@ def noise_again(
     texture: F32_2,
     thresholds: AgainThresholds,
 ) -> U8_2:
-    """Find what a wider window alone shows.
+    """Find noise and leaves that only a wider window shows.
 
-    What a car mirrors, ranges that nothing around has, leaves among noise.
+    These are mirror images in cars, ranges that no shot around has, and leaves among the noise.
 
     ``labels`` (lines + 2, M) uint8; ``voted`` (lines, M) uint8; ``range_m`` (lines + 6, M) float32,
     metres; ``smooth`` (lines + 6, M) uint8; ``above_m`` (lines, M) float32, metres; ``texture``
@@ -212,9 +204,9 @@ def noise_again(
     before = LINES - BESIDE_LINES
     for line in range(n_lines):
         k = line + LINES
-        _mark(voted[line], smooth[k], texture[line], above_m[line], thresholds, marks[:m])
+        _mark_questions(voted[line], smooth[k], texture[line], above_m[line], thresholds, marks[:m])
         _mark_amid_cars(labels[line + BESIDE_LINES], smooth[k], marks[:m])
-        for n in range(_list(words, marks, shots)):
+        for n in range(_list_marked(words, marks, shots)):
             i = int(shots[n])
             if marks[i] & _ALONE and _is_alone(range_m, k, i, thresholds):
                 labels_or_reasons[line, i] = _RANGE_ALONE

@@ -1,6 +1,6 @@
-"""Loop of the fused classifier that asks how far lines lie apart.
+"""Loop of the fused classifier that measures how far lines are apart.
 
-Whether later lines meet the same leaves again.
+Close lines meet the same leaves again.
 """
 
 from __future__ import annotations
@@ -30,12 +30,9 @@ def _mark_leaves(
     limits: F32,
     leaves: U8,
 ) -> int:
-    """Mark the shots of a line whose neighbours on both sides are near but not on one surface.
+    """Mark, and count, the shots of a line with neighbours that are near but not on one surface.
 
-    Count them.
-
-    ``limits`` becomes how much a shot on the same leaf may differ in range, below zero where there
-    is no leaf.
+    Write into ``limits`` by how much another shot on the same leaf may differ in range [m].
     """
     m = len(ranges)
     base = thresholds.tolerance_m
@@ -57,11 +54,11 @@ def _mark_leaves(
         marks[i] = np.uint8(steps & (abs(rise_m) < near) & (abs(next_m) < near))
     # a ledge or a window's frame is one such shot, leaves are several
     n = np.int32(0)
-    last = np.uint8(0)
+    mark_before = np.uint8(0)
     for i in range(m - 1):
-        own_mark = leaves[i]
-        leaves[i] = last & own_mark & leaves[i + 1]
-        last = own_mark
+        mark = leaves[i]
+        leaves[i] = mark_before & mark & leaves[i + 1]
+        mark_before = mark
         n += np.int32(leaves[i])
     return int(n)
 
@@ -74,7 +71,7 @@ def _count_again(
     leaves: U8,
     row: I32,
 ) -> None:
-    """Count leaves of a line where an earlier line has a return, and one as far."""
+    """Count the leaves of a line for which an earlier line has a return, and a return as far."""
     both = np.int32(0)
     same = np.int32(0)
     for i in range(len(ranges)):
@@ -87,7 +84,7 @@ def _count_again(
 
 @kernel()
 def leaf_repeats(range_m: F32_2, first: int, thresholds: SpacingThresholds) -> I32_3:
-    """Count on how many rough places earlier lines are as far.
+    """Count the leaves of a line that earlier lines meet again, at every lag.
 
     ``range_m`` (lines + MOST_LAG, M) float32, metres; returns (lines, 6, 2) int32.
     """

@@ -20,10 +20,7 @@ from prc_cli.methods.fused.thresholds import (
 )
 
 COUNT, PASSED, LOWEST, HIGHEST = range(4)
-"""Columns of the table of runs.
-
-Shots, returns from behind, lowest and highest end in the plane [m].
-"""
+"""Columns of the table of runs: shots, returns from behind, lowest and highest end [m]."""
 _SHOTS, _PASSED, _RUNS, _LENGTH = range(4)
 """Columns of the sums of a stem: shots, returns from behind, runs, length of these [m]."""
 
@@ -41,10 +38,7 @@ NO_GROUND = -1e9
 N_LOWEST = 3
 """The ground of a bin is its third-lowest return: one or two may lie below by chance."""
 N_OPEN = 3
-"""Runs of a line that are followed at the same time.
-
-Surfaces seen in turn through gaps of the nearest.
-"""
+"""Runs of a line that are followed at the same time: surfaces seen through gaps of the nearest."""
 MIN_SHOTS = 3
 """Least shots of a run."""
 SPACINGS = 3.0
@@ -54,32 +48,9 @@ MIN_ASIDE_M = 0.3
 LINES_AROUND = 2
 """Lines before and after in which near shots are looked for."""
 
-_OPEN = 255
-_TOUCHING = 254
-"""Marks of shots without a label yet: those that may be alone, and those beside a stem."""
-
-
-@helper
-def _lower_towards_neighbours(profile: F64, rise: float) -> None:
-    """Let no bin be more than a rise above the next one."""
-    for b in range(1, len(profile)):
-        profile[b] = min(profile[b], profile[b - 1] + rise)
-    for b in range(len(profile) - 2, -1, -1):
-        profile[b] = min(profile[b], profile[b + 1] + rise)
-
-
-@helper
-def _bridge(profile: F64, seen: F64) -> None:
-    """Put straight lines between the bins that are as low as their own returns; level ends."""
-    last = -1
-    for b in range(len(profile)):
-        if seen[b] == np.inf or seen[b] > profile[b]:
-            continue
-        for k in range(last + 1, b):
-            share = 0.0 if last < 0 else (b - k) / (b - last)
-            profile[k] = profile[b] + share * (profile[max(last, 0)] - profile[b])
-        last = b
-    profile[last + 1 :] = profile[last] if last >= 0 else NO_GROUND
+_MAY_BE_ALONE = 255
+_MAY_TOUCH = 254
+"""Marks of shots that no rule has labelled yet: they may be alone, or touch a stem."""
 
 
 @helper
@@ -94,9 +65,9 @@ def _low_shots(
     heights: F64,
     shots: I32,
 ) -> int:
-    """List the shots of a line that may be on the ground, write their bins and heights.
+    """List the shots of a line that may be on the ground, return how many; write bins and heights.
 
-    Return how many there are.
+    Such a shot is about as far as the return before it.
     """
     half = n_bins // 2
     per_metre = 1.0 / thresholds.bin_m
@@ -132,7 +103,7 @@ def _keep_lowest(
     second: F64,
     third: F64,
 ) -> None:
-    """Keep the three lowest shots of every bin, in order."""
+    """Update the three lowest heights of every bin by the shots of a line."""
     for k in range(len(shots)):
         column = np.uint64(shots[k])
         b = np.uint64(bins[column])
@@ -190,62 +161,23 @@ def ground_profiles(
         profile = profiles[group]
         for b in range(n_bins):
             profile[b] = third[b]
-        _lower_towards_neighbours(profile, thresholds.slope * thresholds.bin_m)
-        _bridge(profile, third)
+        # no bin is more than this above the next one
+        rise = thresholds.slope * thresholds.bin_m
+        for b in range(1, len(profile)):
+            profile[b] = min(profile[b], profile[b - 1] + rise)
+        for b in range(len(profile) - 2, -1, -1):
+            profile[b] = min(profile[b], profile[b + 1] + rise)
+        # straight lines between the bins that are as low as their own returns, level ends
+        last = -1
+        for b in range(len(profile)):
+            if third[b] == np.inf or third[b] > profile[b]:
+                continue
+            for k in range(last + 1, b):
+                share = 0.0 if last < 0 else (b - k) / (b - last)
+                profile[k] = profile[b] + share * (profile[max(last, 0)] - profile[b])
+            last = b
+        profile[last + 1 :] = profile[last] if last >= 0 else NO_GROUND
     return profiles
-
-
-@helper
-def _floors(
-    ranges: F32,
-    sine: F64,
-    n_bins: int,
-    per_metre: float,
-    bins: I32,
-    shares: F64,
-) -> None:
-    """Write the bin before every shot of a line, and how far beyond its middle the shot is."""
-    half = n_bins // 2
-    for column in range(len(ranges)):
-        r = np.float64(ranges[column])
-        place = (r if r == r else 0.0) * sine[column] * per_metre + half - 0.5
-        place = min(max(place, 0.0), n_bins - 1.0)
-        b = min(np.int32(place), np.int32(n_bins - 2))
-        bins[column] = b
-        shares[column] = place - np.float64(b)
-
-
-@helper
-def _look_up(
-    bins: I32,
-    profile: F64,
-    low: F64,
-    high: F64,
-) -> None:
-    """Write the ground of the two bins around every shot.
-
-    a loop of its own, as all others read memory in order.
-    """
-    for column in range(len(bins)):
-        b = np.uint64(bins[column])
-        low[column] = profile[b]
-        high[column] = profile[b + np.uint64(1)]
-
-
-@helper
-def _over(
-    ranges: F32,
-    cosine: F64,
-    shares: F64,
-    low: F64,
-    high: F64,
-    heights: F32,
-) -> None:
-    """Write the heights of the shots of a line over the ground, on straight lines between bins."""
-    for column in range(len(ranges)):
-        r = np.float64(ranges[column])
-        ground = low[column] + shares[column] * (high[column] - low[column])
-        heights[column] = np.float32(-r * cosine[column] - ground)
 
 
 @kernel()
@@ -268,15 +200,35 @@ def ground_heights(
     shares = np.empty(n_columns, np.float64)
     low = np.empty(n_columns, np.float64)
     high = np.empty(n_columns, np.float64)
+    n_bins = profiles.shape[1]
+    per_metre = 1.0 / bin_m
+    half = n_bins // 2
+    # step by step: only a loop that reads memory in order uses vector instructions
     for line in range(n_lines):
-        _floors(range_m[line], sine, profiles.shape[1], 1.0 / bin_m, bins, shares)
-        _look_up(bins, profiles[line // lines_together], low, high)
-        _over(range_m[line], cosine, shares, low, high, heights[line])
+        ranges = range_m[line]
+        profile = profiles[line // lines_together]
+        heights_of_line = heights[line]
+        # the bin before every shot, and how far beyond its middle the shot is
+        for column in range(n_columns):
+            r = np.float64(ranges[column])
+            place = (r if r == r else 0.0) * sine[column] * per_metre + half - 0.5
+            place = min(max(place, 0.0), n_bins - 1.0)
+            b = min(np.int32(place), np.int32(n_bins - 2))
+            bins[column] = b
+            shares[column] = place - np.float64(b)
+        for column in range(n_columns):
+            bin_before = np.uint64(bins[column])
+            low[column] = profile[bin_before]
+            high[column] = profile[bin_before + np.uint64(1)]
+        for column in range(n_columns):
+            r = np.float64(ranges[column])
+            ground = low[column] + shares[column] * (high[column] - low[column])
+            heights_of_line[column] = np.float32(-r * cosine[column] - ground)
     return heights
 
 
 @helper
-def _aim(
+def _high_shots(
     ranges: F32,
     heights: F32,
     sine: F64,
@@ -285,10 +237,7 @@ def _aim(
     points: RunPoints,
     shots: I32,
 ) -> int:
-    """Write place, range, tolerance and spacing of the shots of a line.
-
-    List those high enough, return how many.
-    """
+    """List the shots of a line that may be on a stem, return how many; write ``points``."""
     side, up, far, tolerances, spacings = points
     low = thresholds.above_m
     base = thresholds.tolerance_m
@@ -311,7 +260,7 @@ def _aim(
 
 
 @inlined
-def _goes_on(
+def _is_next(
     apart: float,
     up: float,
     spacing: float,
@@ -320,20 +269,20 @@ def _goes_on(
     gap: float,
     gap_steep: float,
 ) -> bool:
-    """Return whether a return continues a run, given its distances to the last one.
+    """Whether a return continues a run: ``apart`` to the side and ``up`` from its last one [m].
 
     False for NaN.
     """
-    beside = (
+    limit = (
         (tolerance + steep * spacing) + gap_steep * (up - spacing)
         if up > spacing
         else tolerance + steep * up
     )
-    return bool((up <= gap) & (apart <= beside))
+    return bool((up <= gap) & (apart <= limit))
 
 
 @helper
-def _put_away(
+def _finish_run(
     run: int,
     n: float,
     passed: float,
@@ -343,10 +292,7 @@ def _put_away(
     firsts: RunStarts,
     ends: F64,
 ) -> None:
-    """Write the shots, the returns from behind and the ends of a finished run.
-
-    0 shots if it is not kept.
-    """
+    """Write the row of a run in the table, with 0 shots if it is not kept; none if run < 0."""
     y_first, z_first = firsts
     if run < 0:
         return
@@ -361,7 +307,7 @@ def _put_away(
 
 
 @inlined
-def _drop(
+def _finish_run_or_drop(
     run: int,
     n: float,
     passed: float,
@@ -371,12 +317,9 @@ def _drop(
     firsts: RunStarts,
     ends: F64,
 ) -> None:
-    """Close a run, if there is one.
-
-    Short ones, which are most, without a call, which takes longer than the rest.
-    """
+    """Drop a short run, as most are, without the call, which takes longer than the rest."""
     if n >= MIN_SHOTS:
-        _put_away(run, n, passed, y, z, thresholds, firsts, ends)
+        _finish_run(run, n, passed, y, z, thresholds, firsts, ends)
     elif run >= 0:
         ends[run, COUNT] = 0.0
 
@@ -386,17 +329,15 @@ def _line_runs(
     shots: I32,
     points: RunPoints,
     thresholds: RunThresholds,
-    mine: I32,
+    run_of_shot: I32,
     firsts: RunStarts,
     ends: F64,
 ) -> int:
-    """Write the run of every shot of a list, counted from 0, and the data of the runs.
+    """Write the run of every shot of a list and the table of runs; return how many runs there are.
 
-    Return how many there are.
-
-    Three runs are open, the latest first. Of each the last shot is kept (y, z, range r), its shots
-    n, the returns from behind that passed it, and those since its last shot (waiting). They are
-    variables, not an array, to stay in registers.
+    Runs 0, 1 and 2 are open, the latest first. Variables with these numbers contain the last shot
+    of a run (y, z, range r), its number of shots n, the returns from behind that passed it, and
+    those since its last shot (waiting). They are no array, so that they stay in registers.
     """
     side, up, far, tolerances, spacings = points
     steep = thresholds.steep
@@ -434,18 +375,18 @@ def _line_runs(
         r = far[column]
         tolerance = tolerances[column]
         spacing = spacings[column]
-        if not _goes_on(abs(y - y0), abs(z - z0), spacing, tolerance, steep, gap, gap_steep):
+        if not _is_next(abs(y - y0), abs(z - z0), spacing, tolerance, steep, gap, gap_steep):
             run = run1
             n = n1
             passed = passed1 + waiting1
-            if not _goes_on(abs(y - y1), abs(z - z1), spacing, tolerance, steep, gap, gap_steep):
+            if not _is_next(abs(y - y1), abs(z - z1), spacing, tolerance, steep, gap, gap_steep):
                 run = run2
                 n = n2
                 passed = passed2 + waiting2
-                if not _goes_on(
+                if not _is_next(
                     abs(y - y2), abs(z - z2), spacing, tolerance, steep, gap, gap_steep
                 ):
-                    _drop(run2, n2, passed2, y2, z2, thresholds, firsts, ends)
+                    _finish_run_or_drop(run2, n2, passed2, y2, z2, thresholds, firsts, ends)
                     run = n_runs
                     n = 0.0
                     passed = 0.0
@@ -478,10 +419,10 @@ def _line_runs(
         waiting0 = 0.0
         waiting1 += 1.0 if r > r1 + behind else 0.0
         waiting2 += 1.0 if r > r2 + behind else 0.0
-        mine[k] = run0
-    _put_away(run0, n0, passed0, y0, z0, thresholds, firsts, ends)
-    _put_away(run1, n1, passed1, y1, z1, thresholds, firsts, ends)
-    _put_away(run2, n2, passed2, y2, z2, thresholds, firsts, ends)
+        run_of_shot[k] = run0
+    _finish_run(run0, n0, passed0, y0, z0, thresholds, firsts, ends)
+    _finish_run(run1, n1, passed1, y1, z1, thresholds, firsts, ends)
+    _finish_run(run2, n2, passed2, y2, z2, thresholds, firsts, ends)
     return n_runs
 
 
@@ -517,11 +458,13 @@ def upright_runs(
     firsts = RunStarts(np.empty(n_columns, np.float64), np.empty(n_columns, np.float64))
     ends = np.empty((n_columns, 4))
     shots = np.empty(n_columns + 1, np.int32)
-    mine = np.empty(n_columns, np.int32)
+    run_of_shot = np.empty(n_columns, np.int32)
     number = np.empty(n_columns, np.int32)
     for line in range(n_lines):
-        n_shots = _aim(range_m[line], height_m[line], sine, cosine, thresholds, points, shots)
-        n_runs = _line_runs(shots[:n_shots], points, thresholds, mine, firsts, ends)
+        n_shots = _high_shots(
+            range_m[line], height_m[line], sine, cosine, thresholds, points, shots
+        )
+        n_runs = _line_runs(shots[:n_shots], points, thresholds, run_of_shot, firsts, ends)
         for i in range(n_runs):
             number[i] = 0
             if ends[i, COUNT] > 0.0:
@@ -533,7 +476,7 @@ def upright_runs(
         for column in range(n_columns):
             row[column] = 0
         for k in range(n_shots):
-            row[shots[k]] = number[mine[k]]
+            row[shots[k]] = number[run_of_shot[k]]
     kept = np.empty((n_kept, 4), np.float64)
     for i in range(n_kept):
         for column in range(4):
@@ -559,7 +502,7 @@ def _join_lines(
     linked: I32,
     parent: I32,
 ) -> None:
-    """Join the runs of two successive lines that have shots of a column near to each other."""
+    """Join the runs of two successive lines that have near shots in the same column."""
     near = thresholds.near_m
     share = thresholds.near_share
     n_linked = 0
@@ -590,9 +533,7 @@ def stem_shots(
     table: F64_2,
     thresholds: StemThresholds,
 ) -> Mask_2:
-    """Mark the runs that are stems.
-
-    Those that go on from line to line and are high, long and opaque together.
+    """Mark the shots on stems: runs that go on from line to line, and are high, long and opaque.
 
     ``range_m`` (lines, M) float32, metres; ``runs`` (lines, M) int32; ``table`` (n_runs + 1, 4)
     float64; returns (lines, M) bool.
@@ -650,30 +591,13 @@ def stem_shots(
 
 
 @helper
-def _mark_flat(heights: F32, limit: float, flat: U8) -> None:
-    """Mark the shots of a line whose neighbours on both sides are about as high."""
-    n = len(heights)
-    flat[0] = flat[n - 1] = np.uint8(0)
-    before = heights[: n - 2]
-    middle = heights[1 : n - 1]
-    after = heights[2:]
-    marks = flat[1 : n - 1]
-    for i in range(n - 2):
-        height = np.float64(middle[i])
-        marks[i] = np.uint8(
-            (abs(height - np.float64(before[i])) < limit)
-            & (abs(height - np.float64(after[i])) < limit)
-        )
-
-
-@helper
 def _mark_beside(
     stems: Mask,
     line: int,
     across: U8,
     beside: U8,
 ) -> None:
-    """Mark the shots of a line that are, or have around them, a shot of a stem."""
+    """Mark the shots of a line that are on a stem, or have one of the eight around on a stem."""
     n_lines, n = stems.shape
     before = stems[max(line - 1, 0)]
     middle = stems[line]
@@ -689,24 +613,6 @@ def _mark_beside(
     outer = across[: n - 1]
     for i in range(n - 1):
         inner[i] |= outer[i]
-
-
-@helper
-def _mark_adjacent(
-    ranges: F32,
-    limit: float,
-    links: U8,
-    adjacent: U8,
-) -> None:
-    """Mark the shots of a line with an adjacent shot about as far."""
-    n = len(ranges)
-    for i in range(n - 1):
-        links[i] = np.uint8(abs(np.float64(ranges[i + 1]) - np.float64(ranges[i])) <= limit)
-    links[n - 1] = adjacent[0] = np.uint8(0)
-    for i in range(n - 1):
-        adjacent[i + 1] = links[i]
-    for i in range(n):
-        adjacent[i] |= links[i]
 
 
 @helper
@@ -743,11 +649,11 @@ def _label_clear_shots(
         elif is_flat:
             rule = _FLAT
         elif may_touch:
-            rule = np.uint8(_TOUCHING)
+            rule = np.uint8(_MAY_TOUCH)
         elif has_neighbour:
             rule = _PLANT
         else:
-            rule = np.uint8(_OPEN)
+            rule = np.uint8(_MAY_BE_ALONE)
         labels[i] = rule
 
 
@@ -759,7 +665,7 @@ def _touches_stem(
     column: int,
     limit: float,
 ) -> bool:
-    """Return whether one of the eight shots around is on a stem and about as far."""
+    """Whether one of the eight shots around is on a stem and about as far."""
     n_lines, n_columns = range_m.shape
     r = np.float64(range_m[line, column])
     for i in range(max(line - 1, 0), min(line + 2, n_lines)):
@@ -777,12 +683,12 @@ def _has_near_shot(
     columns_around: int,
     limit: float,
 ) -> bool:
-    """Return whether another shot nearby is about as far."""
+    """Whether another shot of the window around is about as far."""
     n_lines, n_columns = range_m.shape
     r = np.float64(range_m[line, column])
     first = max(column - columns_around, 0)
     last = min(column + columns_around + 1, n_columns)
-    # its own line first, where one is found most often
+    # the line of the shot first, because most near shots are in it
     for k in range(first, last):
         if k != column and abs(np.float64(range_m[line, k]) - r) <= limit:
             return True
@@ -812,31 +718,54 @@ def forest_labels(
     flat = np.empty(n_columns, np.uint8)
     across = np.empty(n_columns, np.uint8)
     beside = np.empty(n_columns, np.uint8)
+    links = np.empty(n_columns, np.uint8)
     adjacent = np.empty(n_columns, np.uint8)
     shots = np.empty(n_columns + 1, np.int32)
     limit = thresholds.near_m
     for line in range(n_lines):
         row = labels[line]
-        _mark_flat(height_m[line], thresholds.flat_m, flat)
+        ranges = range_m[line]
+        heights = height_m[line]
+        # shots whose neighbours on both sides are about as high
+        flat[0] = flat[n_columns - 1] = np.uint8(0)
+        before = heights[: n_columns - 2]
+        middle = heights[1 : n_columns - 1]
+        after = heights[2:]
+        marks = flat[1 : n_columns - 1]
+        for i in range(n_columns - 2):
+            height = np.float64(middle[i])
+            marks[i] = np.uint8(
+                (abs(height - np.float64(before[i])) < thresholds.flat_m)
+                & (abs(height - np.float64(after[i])) < thresholds.flat_m)
+            )
         _mark_beside(stems, line, across, beside)
-        # a negative limit means that no shot is alone
-        _mark_adjacent(range_m[line], limit if limit >= 0.0 else np.inf, across, adjacent)
-        _label_clear_shots(height_m[line], stems[line], flat, beside, adjacent, thresholds, row)
+        # shots with an adjacent shot about as far; if the limit is negative no shot is alone
+        most_apart = limit if limit >= 0.0 else np.inf
+        for i in range(n_columns - 1):
+            step_m = np.float64(ranges[i + 1]) - np.float64(ranges[i])
+            links[i] = np.uint8(abs(step_m) <= most_apart)
+        links[n_columns - 1] = adjacent[0] = np.uint8(0)
+        for i in range(n_columns - 1):
+            adjacent[i + 1] = links[i]
+        for i in range(n_columns):
+            adjacent[i] |= links[i]
+        _label_clear_shots(heights, stems[line], flat, beside, adjacent, thresholds, row)
         n_shots = 0
         for column in range(n_columns):
             shots[n_shots] = column
-            n_shots += row[column] >= _TOUCHING
+            n_shots += row[column] >= _MAY_TOUCH
         for k in range(n_shots):
             column = shots[k]
-            if row[column] == _TOUCHING and _touches_stem(
+            if row[column] == _MAY_TOUCH and _touches_stem(
                 range_m, stems, line, column, thresholds.beside_m
             ):
                 row[column] = _BESIDE_STEM
+            elif (
+                limit < 0.0
+                or adjacent[column]
+                or _has_near_shot(range_m, line, column, columns_around, limit)
+            ):
+                row[column] = _PLANT
             else:
-                plant = (
-                    limit < 0.0
-                    or adjacent[column]
-                    or _has_near_shot(range_m, line, column, columns_around, limit)
-                )
-                row[column] = _PLANT if plant else _ALONE
+                row[column] = _ALONE
     return labels

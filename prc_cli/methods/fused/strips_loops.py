@@ -71,27 +71,27 @@ def _bin(y: np.float32, width: np.float32) -> np.int32:
 
 
 @helper
-def _count_on(
+def _count_lines_of_objects(
     range_m: F32,
-    beside_m: F32,
-    beyond_m: F32,
+    earlier_m: F32,
+    before_earlier_m: F32,
     jump: np.float32,
     far: np.float32,
     lines: U8,
 ) -> None:
-    """Add a line: write how many lines see every shot's object, up to one that sees past it.
+    """Go on by one line: ``lines`` counts how many lines in a row see the object of a shot.
 
-    A single missing shot is no end.
+    The first of them is next to a line that sees past the object. A single missing shot does not
+    end an object.
     """
     for i in range(len(range_m)):
-        next_m = beside_m[i] if beside_m[i] == beside_m[i] else beyond_m[i]
-        goes_on = (range_m[i] != range_m[i]) | (abs(range_m[i] - next_m) < jump)
-        is_end = not (next_m <= range_m[i] + jump)
-        more = np.uint8(min(lines[i] & COUNT, COUNT - np.uint8(1)) + np.uint8(1)) | (
-            lines[i] & CLOSE
-        )
-        end = np.uint8(1) if not (next_m <= range_m[i] + far) else np.uint8(1) | CLOSE
-        lines[i] = more if goes_on else (end if is_end else NO_END)
+        next_m = earlier_m[i] if earlier_m[i] == earlier_m[i] else before_earlier_m[i]
+        is_same = (range_m[i] != range_m[i]) | (abs(range_m[i] - next_m) < jump)
+        is_first = not (next_m <= range_m[i] + jump)
+        count = np.uint8(min(lines[i] & COUNT, COUNT - np.uint8(1)) + np.uint8(1))
+        more = count | (lines[i] & CLOSE)
+        first = np.uint8(1) if not (next_m <= range_m[i] + far) else np.uint8(1) | CLOSE
+        lines[i] = more if is_same else (first if is_first else NO_END)
 
 
 @helper
@@ -103,25 +103,24 @@ def _mark_free(
     thresholds: ColumnThresholds,
     marks: U8,
 ) -> None:
-    """Mark the shots of a line that few lines see, and lines on both sides see past."""
     most = np.int32(thresholds.lines) + np.int32(1)
     few = np.int32(thresholds.small_lines) + np.int32(1)
     for i in range(len(marks)):
+        # both counts contain the line itself
         n = np.int32(before[i] & COUNT) + np.int32(after[i] & COUNT)
-        is_held = (np.float32(near[i]) >= thresholds.least_near) & (above[i] > thresholds.foot_m)
+        is_counted = (np.float32(near[i]) >= thresholds.least_near) & (above[i] > thresholds.foot_m)
         is_free = (n <= most) & ((before[i] | after[i]) < CLOSE)
         is_narrow = n <= few
-        marks[i] = is_held * (is_free * FREE + is_narrow * NARROW)
+        marks[i] = is_counted * (is_free * FREE + is_narrow * NARROW)
 
 
 @inlined
-def _n_seen(before: np.uint8, after: np.uint8) -> np.float32:
-    """Return how many lines see the thing of a shot."""
+def _lines_of_object(before: np.uint8, after: np.uint8) -> np.float32:
     return np.float32(before & COUNT) + np.float32(after & COUNT) - np.float32(1)
 
 
 @inlined
-def _goes_on(
+def _is_in_run(
     ranges: F32,
     near: U8,
     above: F32,
@@ -129,9 +128,9 @@ def _goes_on(
     j: int,
     thresholds: ColumnThresholds,
 ) -> bool:
-    """Return whether an adjacent shot is of the same run."""
-    is_held = (np.float32(near[j]) >= thresholds.least_near) & (above[j] > thresholds.foot_m)
-    return bool(is_held & (abs(ranges[j] - ranges[i]) < thresholds.jump_m))
+    """Whether the shot ``j`` is in the run of the adjacent shot ``i``."""
+    is_counted = (np.float32(near[j]) >= thresholds.least_near) & (above[j] > thresholds.foot_m)
+    return bool(is_counted & (abs(ranges[j] - ranges[i]) < thresholds.jump_m))
 
 
 @inlined
@@ -142,7 +141,7 @@ def _bulge(
     before: np.uint8,
     after: np.uint8,
 ) -> np.float32:
-    """Return how much nearer the middle half of the lines is than both outer quarters; else 0."""
+    """Return how much nearer an object's middle half is than its outer quarters of lines, or 0."""
     first = line - int(before & COUNT) + 1
     n = int(before & COUNT) + int(after & COUNT) - 1
     quarter = max(n // 4, 1)
@@ -157,9 +156,9 @@ def _bulge(
     left = left / np.float32(quarter)
     right = right / np.float32(quarter)
     middle = middle / np.float32(n - 2 * quarter)
-    return (
-        np.float32(0.5) * (left + right) - middle if min(left, right) > middle else np.float32(0.0)
-    )
+    if min(left, right) > middle:
+        return np.float32(0.5) * (left + right) - middle
+    return np.float32(0.0)
 
 
 @helper
@@ -171,35 +170,40 @@ def _climb(
     beams: Beams,
     most: np.float32,
 ) -> np.float32:
-    """Return how much higher the lines around see the object, as a slanted plane does [m]."""
+    """Return how much higher than a shot adjacent lines see its object [m].
+
+    A slanted scan plane climbs an upright object from line to line.
+
+    ``up`` is the direction of columns upwards, 1 or -1; the climb ends at ``most``.
+    """
     sine, cosine = beams
     range_m = window_m[line, i]
-    best = np.float32(0.0)
+    highest = np.float32(0.0)
     side = range_m * sine[i]
     foot = -(range_m * cosine[i])
     for way in (-1, 1):
         k = line + way
         j = i
         top = foot
-        goes_on = True
-        while goes_on and 0 <= k < len(window_m) and top - foot < most:
+        is_seen = True
+        while is_seen and 0 <= k < len(window_m) and top - foot < most:
             q = j
-            goes_on = False
+            is_seen = False
             while 0 <= q < len(sine) and range_m * (cosine[j] - cosine[q]) < CLIMB_M:
                 next_m = window_m[k, q]
                 if abs(next_m * sine[q] - side) < CLIMB_SIDE_M:
                     top = max(top, -(next_m * cosine[q]))
                     j = q
-                    goes_on = True
+                    is_seen = True
                 q += up
             k += way
-        best = max(best, top - foot)
-    return best
+        highest = max(highest, top - foot)
+    return highest
 
 
 @inlined
 def _is_fence(window_m: F32, line: int, i: int) -> bool:
-    """Whether many lines farther along the street see something as far away as a shot."""
+    """Whether many lines farther along the street see something at a shot's range."""
     n = 0
     range_m = window_m[line, i]
     for k in range(max(line - FENCE_LINES[1], 0), min(line + FENCE_LINES[1] + 1, len(window_m))):
@@ -208,7 +212,7 @@ def _is_fence(window_m: F32, line: int, i: int) -> bool:
 
 
 @helper
-def _kind(
+def _kind_of_run(
     window_m: F32,
     line: int,
     first: int,
@@ -222,9 +226,11 @@ def _kind(
     beams: Beams,
     thresholds: ColumnThresholds,
 ) -> np.uint8:
-    """Return what the run from one shot to before another is.
+    """Return the kind of the shots ``first`` to ``end``: POST, SMALL, or 0 if they are neither.
 
-    a trunk or post, something low, or perhaps a piece.
+    Two groups of its shots are looked at, one after the other: those that few lines see (NARROW),
+    which may be something small, then those that lines on both sides see far past (FREE), which
+    may be a trunk or post.
     """
     n = n_free = n_thin = n_few = n_far = n_even = 0
     head = first
@@ -236,7 +242,8 @@ def _kind(
         n += int(is_smooth)
         if marks[j] & FREE != 0:
             n_free += int(is_smooth)
-            n_thin += int(is_smooth and _n_seen(before[j], after[j]) <= thresholds.thin_lines)
+            n_lines = _lines_of_object(before[j], after[j])
+            n_thin += int(is_smooth and n_lines <= thresholds.thin_lines)
             inner = min(inner, abs(side[j]))
             outer = max(outer, abs(side[j]))
             low = min(low, above[j])
@@ -256,22 +263,20 @@ def _kind(
         thresholds.shots, thresholds.small_share * np.float32(end - first)
     )
     if is_few and few_high < top and deep <= thresholds.small_m:
-        up = (
-            1 if beams.cosine[max(head - 1, 0)] > beams.cosine[min(head + 1, len(side) - 1)] else -1
-        )
+        is_upwards = beams.cosine[max(head - 1, 0)] > beams.cosine[min(head + 1, len(side) - 1)]
+        up = 1 if is_upwards else -1
         climbed = few_high + _climb(window_m, line, head, up, beams, top)
         is_far = np.float32(n_far) >= thresholds.small_share * np.float32(n_few)
         is_person = climbed > thresholds.person_m and (
             few_low <= CHEST_M or tall > thresholds.post_tall_m
         )
         if climbed < top and (is_person or is_far):
-            is_post = (
+            is_smooth_and_tall = (
                 np.float32(n_even) >= thresholds.share * np.float32(n_few)
                 and tall > thresholds.post_tall_m
             )
-            is_post = (
-                is_far and deep < thresholds.post_m and (is_post or climbed < thresholds.post_top_m)
-            )
+            is_low = climbed < thresholds.post_top_m
+            is_post = is_far and deep < thresholds.post_m and (is_smooth_and_tall or is_low)
             return POST if is_post else SMALL
     deep = outer - inner
     tall = high - low
@@ -281,7 +286,8 @@ def _kind(
         return np.uint8(0)
     if 2 * n_thin > n_free:
         return POST
-    n_asked = n_round = k = 0
+    # what many lines see is a trunk only if it is round, at most of a sample of its shots
+    n_sampled = n_round = k = 0
     stride = max(n_free // SAMPLES, 1)
     for j in range(first, end):
         if marks[j] & FREE == 0 or np.float32(smooth[j]) < thresholds.smooth:
@@ -290,24 +296,9 @@ def _kind(
             across = abs(side[j]) / window_m[line, j]
             radius = _bulge(window_m, line, j, before[j], after[j]) * across / ROUND
             n_round += int((radius >= thresholds.round_m) & (radius <= thresholds.deep_m))
-            n_asked += 1
+            n_sampled += 1
         k += 1
-    return POST if 2 * n_round > n_asked else np.uint8(0)
-
-
-@inlined
-def _is_short(
-    ranges: F32,
-    above: F32,
-    first: int,
-    end: int,
-    thresholds: ColumnThresholds,
-) -> bool:
-    """Return whether a run is short, with nothing, or only far things, beyond both ends."""
-    tall = above[first:end].max() - above[first:end].min()
-    is_free = first == 0 or not (ranges[first - 1] <= ranges[first] + thresholds.far_m)
-    is_free &= end == len(ranges) or not (ranges[end] <= ranges[end - 1] + thresholds.far_m)
-    return bool(is_free and tall < thresholds.tall_m)
+    return POST if 2 * n_round > n_sampled else np.uint8(0)
 
 
 @kernel()
@@ -318,9 +309,9 @@ def find_columns(
     beams: Beams,
     thresholds: ColumnThresholds,
 ) -> U8_2:
-    """Say of every shot what it is of, if that stands alone.
+    """Find posts, fences and other things that stand free, and say which of them a shot is on.
 
-    Some lines wide, with something far on both sides.
+    Such a thing is a few lines wide; lines on both sides see something far behind it.
 
     ``window_m`` (lines + 2 n, M) float32, metres; ``above_m`` (lines, M) float32, metres;
     ``neighbours`` (lines, M) uint8; ``beams`` (M,) float32; returns (lines, M) uint8.
@@ -332,7 +323,7 @@ def find_columns(
     after = np.empty((n_lines, m), np.uint8)
     lines = np.full(m, NO_END)
     for k in range(len(window_m) - 3, margin - 1, -1):
-        _count_on(window_m[k], window_m[k + 1], window_m[k + 2], jump, far, lines)
+        _count_lines_of_objects(window_m[k], window_m[k + 1], window_m[k + 2], jump, far, lines)
         if k < margin + n_lines:
             after[k - margin] = lines
     kinds = np.zeros((n_lines, m), np.uint8)
@@ -340,7 +331,7 @@ def find_columns(
     side = np.empty(m, np.float32)
     lines[:] = NO_END
     for k in range(2, margin + n_lines):
-        _count_on(window_m[k], window_m[k - 1], window_m[k - 2], jump, far, lines)
+        _count_lines_of_objects(window_m[k], window_m[k - 1], window_m[k - 2], jump, far, lines)
         if k < margin:
             continue
         line = k - margin
@@ -357,11 +348,11 @@ def find_columns(
                 continue
             first = i
             end = i + 1
-            while first > 0 and _goes_on(ranges, near, above, first, first - 1, thresholds):
+            while first > 0 and _is_in_run(ranges, near, above, first, first - 1, thresholds):
                 first -= 1
-            while end < m and _goes_on(ranges, near, above, end - 1, end, thresholds):
+            while end < m and _is_in_run(ranges, near, above, end - 1, end, thresholds):
                 end += 1
-            kind = _kind(
+            kind = _kind_of_run(
                 window_m,
                 k,
                 first,
@@ -375,9 +366,15 @@ def find_columns(
                 beams,
                 thresholds,
             )
-            is_piece = kind == 0 and _is_short(ranges, above, first, end, thresholds)
+            # a piece is short, with nothing or only far things beyond both ends
+            is_piece = False
+            if kind == 0:
+                tall = above[first:end].max() - above[first:end].min()
+                is_free = first == 0 or not (ranges[first - 1] <= ranges[first] + thresholds.far_m)
+                is_free &= end == m or not (ranges[end] <= ranges[end - 1] + thresholds.far_m)
+                is_piece = is_free and tall < thresholds.tall_m
             for j in range(first, end):
-                n_seen = _n_seen(lines[j], after[line, j])
+                n_seen = _lines_of_object(lines[j], after[line, j])
                 kind_of_shot = kind
                 if kind == 0 and n_seen <= thresholds.piece_lines:
                     if n_seen <= thresholds.slim_lines:
@@ -409,7 +406,7 @@ def _list_counted(
     extents: F32,
     shots: I32,
 ) -> int:
-    """List the shots of a line that count, return how many; write their strips and height extents.
+    """List the shots of a line above the ground, return how many; write their strips and extents.
 
     One result a loop: the compiler cannot prove that several do not overlap.
     """
@@ -429,24 +426,6 @@ def _list_counted(
 
 
 @helper
-def _mark_rough(pairs: U8, most: np.float32, rough: U8) -> None:
-    """Mark the shots of a line that are rough between two rough ones on either side.
-
-    In crowns all shots are; at the ends of a pole or an edge of a wall, where every second one is
-    compared, two are.
-    """
-    m = len(pairs)
-    for i in range(m):
-        rough[i] = np.uint8(np.float32(pairs[i]) <= most)
-    for away in (1, 2):
-        before = pairs[: m - 2 * away]
-        middle = rough[away : m - away]
-        after = pairs[2 * away :]
-        for i in range(m - 2 * away):
-            middle[i] &= np.uint8((np.float32(before[i]) <= most) & (np.float32(after[i]) <= most))
-
-
-@helper
 def _mark_kinds(
     height: F32,
     above: F32,
@@ -460,7 +439,7 @@ def _mark_kinds(
 ) -> None:
     """Write the slots of a line's shots; mark rough shots, walls and low level surfaces.
 
-    What is level and higher than the scanner is seen from below: a ceiling.
+    A level surface above the scanner is a ceiling, and not marked.
     """
     _, pairs, up, flat = neighbours
     foot = thresholds.foot_m
@@ -471,7 +450,19 @@ def _mark_kinds(
     for i in range(len(above)):
         h = above[i] if above[i] >= foot else np.float32(0.0)
         slots[i] = np.uint8(min(h / SLOT_M, np.float32(SLOTS - 1)))
-    _mark_rough(pairs, most_rough, rough)
+    # rough between two rough shots on either side: in crowns all shots are; at the ends of a pole
+    # or an edge of a wall, where every second shot is compared, two are
+    m = len(pairs)
+    for i in range(m):
+        rough[i] = np.uint8(np.float32(pairs[i]) <= most_rough)
+    for away in (1, 2):
+        before = pairs[: m - 2 * away]
+        middle = rough[away : m - away]
+        after = pairs[2 * away :]
+        for i in range(m - 2 * away):
+            middle[i] &= np.uint8(
+                (np.float32(before[i]) <= most_rough) & (np.float32(after[i]) <= most_rough)
+            )
     for i in range(len(above)):
         is_wall = (up[i] >= UPRIGHT_CHORDS) & (kinds[i] != POST)
         upright[i] = np.uint8((np.float32(pairs[i]) >= least_smooth) & is_wall)
@@ -486,21 +477,6 @@ def _mark_kinds(
 
 
 @helper
-def _keep_walls(upright: U8, side: F32, height: F32, shares: StripSums) -> None:
-    """Write the shares of a line's shots in walls, whose ``length_m`` is known.
-
-    0 or no top off walls.
-    """
-    extents, wall, place, top = shares
-    for i in range(len(upright)):
-        wall[i] = extents[i] if upright[i] != 0 else np.float32(0.0)
-    for i in range(len(upright)):
-        place[i] = extents[i] * side[i] if upright[i] != 0 else np.float32(0.0)
-    for i in range(len(upright)):
-        top[i] = height[i] if upright[i] != 0 else NO_TOP
-
-
-@helper
 def _fill_line(
     shots: I32,
     strips: I32,
@@ -510,7 +486,6 @@ def _fill_line(
     slots: FilledSlots,
     sums: StripSums,
 ) -> None:
-    """Put the shots of a list into the strips of their line."""
     extent_of, wall_of, place_of, top_of = shares
     every, rough = slots
     length, wall, place, top = sums
@@ -561,7 +536,7 @@ def _mark_levels(
     jump: np.float32,
     levels: U8,
 ) -> None:
-    """Mark the bins between shots on a level surface and close adjacent shots."""
+    """Mark the bins from a shot on a level surface to the adjacent shots that are close to it."""
     n = 0
     for k in range(len(shots)):
         i = shots[k]
@@ -655,7 +630,15 @@ def fill_strips(
             marks[1],
             marks[2],
         )
-        _keep_walls(marks[1], side, height, shares)
+        # shares of the line's shots in walls: no length and no top off walls
+        upright = marks[1]
+        extents, wall_of, place_of, top_of = shares
+        for i in range(len(upright)):
+            wall_of[i] = extents[i] if upright[i] != 0 else np.float32(0.0)
+        for i in range(len(upright)):
+            place_of[i] = extents[i] * side[i] if upright[i] != 0 else np.float32(0.0)
+        for i in range(len(upright)):
+            top_of[i] = height[i] if upright[i] != 0 else NO_TOP
         sums = StripSums(length[k], wall[k], place[k], top[k])
         slots = FilledSlots(every[k], rough[k])
         _fill_line(shots[:n], strips, slot, marks[0], shares, slots, sums)
@@ -727,40 +710,6 @@ def _sum_around(
 
 
 @helper
-def _top_around(
-    values: F32,
-    line: int,
-    lines: F32,
-    tops: F32,
-) -> None:
-    """Find the highest of five lines and three strips."""
-    for b in range(STRIPS):
-        before = max(values[line, b], values[line + 1, b])
-        after = max(values[line + 3, b], values[line + 4, b])
-        lines[b + 1] = max(max(before, values[line + 2, b]), after)
-    lines[0] = lines[STRIPS + 1] = NO_TOP
-    for b in range(STRIPS):
-        tops[b] = max(max(lines[b], lines[b + 1]), lines[b + 2])
-
-
-@helper
-def _lines_around(
-    values: F32,
-    line: int,
-    is_filled: U8,
-    counts: U8,
-) -> None:
-    """Count the lines, of five, that have something in a strip or beside it."""
-    counts[:] = 0
-    is_filled[0] = is_filled[STRIPS + 1] = 0
-    for k in range(line, line + 2 * LINES + 1):
-        for b in range(STRIPS):
-            is_filled[b + 1] = values[k, b] > 0
-        for b in range(STRIPS):
-            counts[b] += is_filled[b] | is_filled[b + 1] | is_filled[b + 2]
-
-
-@helper
 def _look_out(
     is_wall: U8,
     wall_at: F32,
@@ -768,7 +717,7 @@ def _look_out(
     thresholds: WallThresholds,
     walls: Walls,
 ) -> None:
-    """Write for every strip of a line the wall before it and the wall behind it."""
+    """Write, for every strip of a line, the last wall before it and the next one behind it."""
     half = STRIPS // 2
     for s in range(2):
         way = 1 if s == 0 else -1
@@ -820,8 +769,23 @@ def find_walls(sums: StripSums, flanks: U8_2, thresholds: WallThresholds) -> Wal
         _sum_around(sums.length_m, line, lines, length_m)
         _sum_around(sums.wall_m, line, lines, wall_m)
         _sum_around(sums.wall_place, line, lines, places)
-        _top_around(sums.top_m, line, lines, top_m)
-        _lines_around(sums.wall_m, line, is_filled, n_filled)
+        # the highest of five lines and three strips
+        tops = sums.top_m
+        for b in range(STRIPS):
+            before = max(tops[line, b], tops[line + 1, b])
+            after = max(tops[line + 3, b], tops[line + 4, b])
+            lines[b + 1] = max(max(before, tops[line + 2, b]), after)
+        lines[0] = lines[STRIPS + 1] = NO_TOP
+        for b in range(STRIPS):
+            top_m[b] = max(max(lines[b], lines[b + 1]), lines[b + 2])
+        # how many of five lines have something in a strip or beside it
+        n_filled[:] = 0
+        is_filled[0] = is_filled[STRIPS + 1] = 0
+        for k in range(line, line + 2 * LINES + 1):
+            for b in range(STRIPS):
+                is_filled[b + 1] = sums.wall_m[k, b] > 0
+            for b in range(STRIPS):
+                n_filled[b] += is_filled[b] | is_filled[b + 1] | is_filled[b + 2]
         side_m, tops_m, ahead_m = walls.side_m[line], walls.top_m[line], walls.ahead_m[line]
         for b in range(STRIPS):
             side_m[b] = tops_m[b] = ahead_m[b] = np.float32(0.0)

@@ -15,92 +15,75 @@ Pairs = NDArray[np.uint32]
 LINES = 2
 """Lines before and after a line that its texture is computed from."""
 MOST_SMOOTH = 8
-"""Greatest number of smooth pairs that counts."""
+"""A shot with so many smooth pairs is as smooth as one with more."""
 MOST_COLUMNS = 60
 LEAST_COLUMNS = 3
 """Limits of the half width of a place, in columns."""
 LEAST_SEEN = np.float32(0.85)
-"""At most so much smoother is a place for what is hidden of it."""
+"""Lower limit of the share of a place that is not hidden, by which its smoothness is divided."""
 DEPTH_SHOTS = 4
 """Shots of a line on either side that are read where a place is looked at again."""
 
 
 @helper
-def _count_pairs(
+def _write_pairs(
     near: U8,
     smooth: U8,
-    least: np.float32,
-    places: Pairs,
+    least_near: np.float32,
+    pairs: Pairs,
 ) -> None:
-    """Write the counts of a line's shots.
+    """Write a word for every shot of a line: one shot in its upper half, smooth pairs in its lower.
 
-    One shot in the upper half of a word, its smooth pairs in the lower half.
-
-    A place has at most 605 shots and 4840 pairs, so neither half overflows.
+    A place has at most 605 shots and 4840 pairs, so neither half of their sum overflows.
     """
     for i in range(len(near)):
-        pairs = np.uint32(min(smooth[i], np.uint8(MOST_SMOOTH)))
-        places[i] = pairs | np.uint32(1 << 16) if np.float32(near[i]) >= least else np.uint32(0)
+        n_smooth = np.uint32(min(smooth[i], np.uint8(MOST_SMOOTH)))
+        is_counted = np.float32(near[i]) >= least_near
+        pairs[i] = n_smooth | np.uint32(1 << 16) if is_counted else np.uint32(0)
 
 
 @helper
-def _add_lines(lines: FiveLines, sums: Pairs) -> None:
-    """Add up five lines, column by column."""
-    a, b, c, d, e = lines
-    for i in range(len(sums)):
-        sums[i] = a[i] + b[i] + c[i] + d[i] + e[i]
-
-
-@helper
-def _sum_up(values: Pairs, sums_before: Pairs) -> None:
-    """Write the sums of the first 0, 1, ... columns.
+def _sum_up(lines: FiveLines, sums_before: Pairs, sums: Pairs) -> None:
+    """Write the sums of the first 0, 1, ... columns of five lines.
 
     They may overflow, their differences are still right.
     """
+    a, b, c, d, e = lines
+    for i in range(len(sums)):
+        sums[i] = a[i] + b[i] + c[i] + d[i] + e[i]
     total = np.uint32(0)
     sums_before[0] = total
-    for i in range(len(values)):
-        total = np.uint32(total + values[i])
+    for i in range(len(sums)):
+        total = np.uint32(total + sums[i])
         sums_before[i + 1] = total
 
 
 @helper
-def _half_widths(
+def _write_shares(
     ranges: F32,
     step: np.float32,
     half_m: np.float32,
-    most: int,
+    sums_before: Pairs,
     columns: I32,
+    sums: Pairs,
+    shares: F32,
 ) -> None:
-    """Write the half width of every shot's place in columns.
+    """Write the share of smooth pairs in every shot's place, and its half width in columns.
 
-    Any number where the shot is missing.
+    Step by step, because only a loop that reads memory in order uses vector instructions.
     """
+    m = len(ranges)
     fewest = np.float32(LEAST_COLUMNS)
-    most_of_all = np.float32(most)
-    for i in range(len(ranges)):
+    most = np.float32(MOST_COLUMNS)
+    for i in range(m):
         r = ranges[i] if ranges[i] == ranges[i] else np.float32(1.0)
-        columns[i] = np.int32(min(max(half_m / (r * step), fewest), most_of_all))
-
-
-@helper
-def _sums_of_places(columns: I32, sums_before: Pairs, sums: Pairs) -> None:
-    """Write the sums of the places of a line's shots.
-
-    a loop of its own, as all others read memory in order.
-    """
-    m = len(columns)
+        columns[i] = np.int32(min(max(half_m / (r * step), fewest), most))
     for i in range(m):
         half = columns[i]
         first = max(i - int(half), 0)
         last = min(i + int(half) + 1, m)
         sums[i] = sums_before[np.uint64(last)] - sums_before[np.uint64(first)]
-
-
-@helper
-def _shares(ranges: F32, sums: Pairs, shares: F32) -> None:
-    """Write the share of smooth pairs of every shot's place."""
-    for i in range(len(ranges)):
+    for i in range(m):
         shots = np.int32(sums[i] >> np.uint32(16))
         pairs = np.int32(sums[i] & np.uint32(0xFFFF))
         share = np.float32(pairs) / (np.float32(MOST_SMOOTH) * np.float32(max(shots, np.int32(1))))
@@ -115,9 +98,9 @@ def _share_at_depth(
     half: int,
     depth_m: np.float32,
 ) -> np.float32:
-    """Return the share of smooth pairs of shots about as far away as the middle of a place.
+    """Return the share of smooth pairs among the shots of a place about as far as its middle.
 
-    Where others hide part of it, fewer pairs can be smooth.
+    If nearer things hide part of the place, fewer pairs can be smooth.
     """
     range_m = ranges.middle[i]
     m = len(ranges.middle)
@@ -149,7 +132,7 @@ def _share_at_depth(
 
 
 @helper
-def _look_at_depth(
+def _raise_shares(
     ranges: FiveLines,
     pairs: FiveLines,
     columns: I32,
@@ -158,7 +141,7 @@ def _look_at_depth(
     shares: F32,
     shots: I32,
 ) -> None:
-    """Raise the share of rough places around smooth shots to the share at their distance."""
+    """Raise the share of a rough place around a smooth shot to the share at the shot's distance."""
     range_m = ranges.middle
     n = 0
     for i in range(len(shares)):
@@ -194,21 +177,21 @@ def mean_smoothness(
     mean = np.empty((n_lines, m), np.float32)
     room = 2 * LINES + 1
     # ring buffer of lines
-    places = np.empty((room, m), np.uint32)
+    words = np.empty((room, m), np.uint32)
     together = np.empty(m, np.uint32)
     sums_before = np.empty(m + 1, np.uint32)
     columns = np.empty(m, np.int32)
     shots = np.empty(m + 1, np.int32)
     for k in range(n_lines + 2 * LINES):
-        _count_pairs(near[k], smooth[k], least_near, places[k % room])
+        _write_pairs(near[k], smooth[k], least_near, words[k % room])
         if k < 2 * LINES:
             continue
         line = k - 2 * LINES
-        _add_lines(FiveLines(places[0], places[1], places[2], places[3], places[4]), together)
-        _sum_up(together, sums_before)
-        _half_widths(range_m[line + LINES], step, half_m, MOST_COLUMNS, columns)
-        _sums_of_places(columns, sums_before, together)
-        _shares(range_m[line + LINES], together, mean[line])
+        lines = FiveLines(words[0], words[1], words[2], words[3], words[4])
+        _sum_up(lines, sums_before, together)
+        _write_shares(
+            range_m[line + LINES], step, half_m, sums_before, columns, together, mean[line]
+        )
         ranges = FiveLines(
             range_m[line],
             range_m[line + 1],
@@ -221,6 +204,6 @@ def mean_smoothness(
         c = (line + 2) % room
         d = (line + 3) % room
         e = (line + 4) % room
-        pairs = FiveLines(places[a], places[b], places[c], places[d], places[e])
-        _look_at_depth(ranges, pairs, columns, smooth[line + LINES], thresholds, mean[line], shots)
+        pairs = FiveLines(words[a], words[b], words[c], words[d], words[e])
+        _raise_shares(ranges, pairs, columns, smooth[line + LINES], thresholds, mean[line], shots)
     return mean

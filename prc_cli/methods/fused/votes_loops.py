@@ -34,24 +34,9 @@ _VEGETATION_BIT = 24
 A place has at most 15 shots in each of three lines, so that six bits hold their votes."""
 
 
-@helper
-def _lay_out(
-    ranges: F32,
-    beams: Beams,
-    side: F32,
-    height: F32,
-) -> None:
-    """Write the points of a line in the scan plane."""
-    sine, cosine = beams
-    for i in range(len(ranges)):
-        side[i] = ranges[i] * sine[i]
-    for i in range(len(ranges)):
-        height[i] = -(ranges[i] * cosine[i])
-
-
 @inlined
 def _differs(label: np.uint8, label_of_shot: np.uint8) -> bool:
-    """Return whether a label differs; missing and noise do not count as labels."""
+    """Whether a neighbour's label differs from a shot's; missing and noise are no labels."""
     return bool((label != label_of_shot) & (label != _MISSING) & (label != _NOISE))
 
 
@@ -62,7 +47,10 @@ def _mark_unsettled(
     after: U8,
     unsettled: U8,
 ) -> None:
-    """Mark shots with another label than a shot a few columns away, or of an adjacent line."""
+    """Mark the shots of a line that may have to change their label.
+
+    Their label differs from that of a shot a few columns away, or of an adjacent line.
+    """
     m = len(labels)
     for i in range(m):
         unsettled[i] = _differs(before[i], labels[i]) | _differs(after[i], labels[i])
@@ -86,21 +74,9 @@ def _mark_unsettled(
         )
 
 
-@helper
-def _weigh(labels: U8, weights: Pairs) -> None:
-    """Write the vote of every shot: each of the five labels has its own part of the word."""
-    for i in range(len(labels)):
-        label = labels[i]
-        building = np.uint32(1 << _BUILDING_BIT) if label == _BUILDING else np.uint32(0)
-        vegetation = np.uint32(1 << _VEGETATION_BIT) if label == _VEGETATION else np.uint32(0)
-        car = np.uint32(1 << _CAR_BIT) if label == _CAR else np.uint32(0)
-        pole = np.uint32(1 << _POLE_BIT) if label == _POLE else np.uint32(0)
-        weights[i] = building | vegetation | car | pole | np.uint32(label == _OTHER)
-
-
 @inlined
-def _vote(votes: np.uint32, label: np.uint8) -> np.uint8:
-    """Return the label with most votes; of several, the shot's own if it is among them."""
+def _winner(votes: np.uint32, label: np.uint8) -> np.uint8:
+    """Return the label with most votes; if several have as many, the shot's label wins."""
     part = np.uint32((1 << _CAR_BIT) - 1)
     unclassified = votes & part
     car = (votes >> np.uint32(_CAR_BIT)) & part
@@ -108,12 +84,12 @@ def _vote(votes: np.uint32, label: np.uint8) -> np.uint8:
     building = (votes >> np.uint32(_BUILDING_BIT)) & part
     vegetation = votes >> np.uint32(_VEGETATION_BIT)
     most = max(max(max(unclassified, car), max(pole, building)), vegetation)
-    same = unclassified
-    same = building if label == _BUILDING else same
-    same = vegetation if label == _VEGETATION else same
-    same = car if label == _CAR else same
-    same = pole if label == _POLE else same
-    if same == most:
+    for_label = unclassified
+    for_label = building if label == _BUILDING else for_label
+    for_label = vegetation if label == _VEGETATION else for_label
+    for_label = car if label == _CAR else for_label
+    for_label = pole if label == _POLE else for_label
+    if for_label == most:
         return label
     if unclassified == most:
         return np.uint8(_OTHER)
@@ -132,31 +108,27 @@ def _vote_line(
     line: VotingLine,
     after: VotingLine,
     unsettled: U8,
-    asking: I32,
+    shots: I32,
     step: np.float32,
     half_m: np.float32,
     near_m: np.float32,
     voted: U8,
 ) -> None:
-    """Count the votes around the unsettled shots of a line; shots vote that are near in space."""
+    """Count the votes of the shots that are near in space to the unsettled shots of a line."""
     m = len(ranges)
     y0, z0, w0 = before
     y1, z1, w1 = line
     y2, z2, w2 = after
     n = 0
     for i in range(m):
-        asking[n] = i
+        shots[n] = i
         n += unsettled[i]
     for k in range(n):
-        i = asking[k]
+        i = shots[k]
         y = y1[i]
         z = z1[i]
-        columns = int(
-            min(
-                max(half_m / (ranges[i] * step), np.float32(LEAST_COLUMNS)),
-                np.float32(MOST_COLUMNS),
-            )
-        )
+        half_width = max(half_m / (ranges[i] * step), np.float32(LEAST_COLUMNS))
+        columns = int(min(half_width, np.float32(MOST_COLUMNS)))
         votes = np.uint32(0)
         nothing = np.uint32(0)
         place = np.int64(max(i - columns, 0))
@@ -172,7 +144,7 @@ def _vote_line(
             votes += votes_beside if max(abs(y1[j] - y), abs(z1[j] - z)) < near_m else nothing
             votes += votes_after if max(abs(y2[j] - y), abs(z2[j] - z)) < near_m else nothing
             place += stride
-        voted[i] = _vote(votes, labels[i])
+        voted[i] = _winner(votes, labels[i])
 
 
 @kernel()
@@ -184,10 +156,10 @@ def vote_labels(
     half_m: np.float32,
     near_m: np.float32,
 ) -> U8_2:
-    """Give every shot but ground and noise the label of most shots around it.
+    """Give every shot the label of most shots around it; noise does not vote.
 
-    A small thing keeps its label, and so does a shot where those four columns to both sides and in
-    the adjacent lines have the same one. Noise does not vote.
+    Ground, noise and unclassified shots keep their labels, and so do shots with the same label as
+    those four columns to both sides and in the adjacent lines.
 
     ``labels`` (lines + 2, M) uint8; ``range_m`` (lines + 2, M) float32, metres; ``beams`` (M,)
     float32; returns (lines, M) uint8.
@@ -196,15 +168,25 @@ def vote_labels(
     m = labels.shape[1]
     voted = np.empty((n_lines, m), np.uint8)
     unsettled = np.empty(m, np.uint8)
-    asking = np.empty(m + 1, np.int32)
+    shots = np.empty(m + 1, np.int32)
     # ring buffers of lines
-    weights = np.empty((3, m), np.uint32)
+    votes = np.empty((3, m), np.uint32)
     side = np.empty((3, m), np.float32)
     height = np.empty((3, m), np.float32)
     for line in range(n_lines + 2):
         c = line % 3
-        _weigh(labels[line], weights[c])
-        _lay_out(range_m[line], beams, side[c], height[c])
+        for i in range(m):
+            side[c, i] = range_m[line, i] * beams.sine[i]
+        for i in range(m):
+            height[c, i] = -(range_m[line, i] * beams.cosine[i])
+        # each of the five labels has its own part of the word
+        for i in range(m):
+            label = labels[line, i]
+            building = np.uint32(1 << _BUILDING_BIT) if label == _BUILDING else np.uint32(0)
+            vegetation = np.uint32(1 << _VEGETATION_BIT) if label == _VEGETATION else np.uint32(0)
+            car = np.uint32(1 << _CAR_BIT) if label == _CAR else np.uint32(0)
+            pole = np.uint32(1 << _POLE_BIT) if label == _POLE else np.uint32(0)
+            votes[c, i] = building | vegetation | car | pole | np.uint32(label == _OTHER)
         if line < 2:
             continue
         middle = labels[line - 1]
@@ -216,11 +198,11 @@ def vote_labels(
         _vote_line(
             middle,
             range_m[line - 1],
-            VotingLine(side[a], height[a], weights[a]),
-            VotingLine(side[b], height[b], weights[b]),
-            VotingLine(side[c], height[c], weights[c]),
+            VotingLine(side[a], height[a], votes[a]),
+            VotingLine(side[b], height[b], votes[b]),
+            VotingLine(side[c], height[c], votes[c]),
             unsettled,
-            asking,
+            shots,
             step,
             half_m,
             near_m,
