@@ -31,6 +31,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from benchmarks.contest_data import DATA
+from benchmarks.pages import heading
 from benchmarks.user import CHILD
 from prc_cli.core.types import F64, I64, Mask
 
@@ -245,8 +246,8 @@ def page(folder: Path, length: float, seed: int) -> str:
     estimate = noise_of(noise)
     parts = [
         (
-            "# Figures of PRC and CAR\n\nWritten by `python -m benchmarks.car --length "
-            f"{length:g}`: {n:,} shots."
+            f"{heading('Figures before and after registration', 'car')}\n"
+            f"`python -m benchmarks.car --length {length:g}`: {n:,} shots."
         ),
         "Times are wall times on a machine shared with other work; peak memory is of the command",
         "with its guard.\n\n## Time and memory\n",

@@ -29,6 +29,7 @@ import numpy as np
 
 from benchmarks import contest_data as data
 from benchmarks.contest_data import ROOT, Scan, Simulated
+from benchmarks.pages import heading
 from benchmarks.user import in_process
 from prc_cli.config import load_config
 from prc_cli.core.classes import Label
@@ -504,10 +505,7 @@ class CodesOf:
 
 def report(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
     """Print the page of figures, and draw the curve."""
-    print(
-        "<!-- written by python -m benchmarks.confidence; do not edit -->\n\n# Confidence: "
-        "figures\n"
-    )
+    print(heading("Confidence: figures", "confidence"))
     print(
         "What the byte means is [described "
         f"here](../confidence.md).\n\n```console\n{COMMANDS}\n```\n\n{ABOUT}"

@@ -49,7 +49,7 @@ from benchmarks.contest_runs import (
     judged,
     print_things,
 )
-from benchmarks.simulated import commands, printed_at, say
+from benchmarks.pages import commands, duration, heading, printed_at, say
 
 STREETS = "streets"
 GOALS: dict[str, dict[str, float]] = {
@@ -643,9 +643,7 @@ def main() -> None:
     )
     contest.store.only_kept = arguments.kept
     runs = contest.all_runs(contest.methods)
-    print(
-        "<!-- written by python -m benchmarks.contest; do not edit -->\n\n# The contest: figures\n"
-    )
+    print(heading("The contest: figures", "contest"))
     say("""Generated tables behind [the accuracy of prc](../accuracy.md). Parameters are those of
     the presets and the same for all scans, except where a row says otherwise. Tuning used other
     streets and the first Oakland strip, which is shown but not counted. Classes of the macro F1:
@@ -654,6 +652,7 @@ def main() -> None:
     predicted as.""")
     for part in arguments.parts or (QUICK_PARTS if arguments.quick else PARTS):
         PARTS[part](contest, runs)
+    print(duration())
     report_progress(f"{contest.store.n_new} new runs, {time.perf_counter() - start:.0f} s")
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.contest_data import DATA, ROOT
-from benchmarks.simulated import say
+from benchmarks.pages import say
 from benchmarks.user import in_process
 from prc_cli.core.classes import ClassCodes
 

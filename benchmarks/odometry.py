@@ -27,6 +27,7 @@ import small_gicp
 
 from benchmarks.car import table
 from benchmarks.odometry_runs import CLASS_TO_CLASS, LIBRARIES, Run, run
+from benchmarks.pages import heading
 from prc_cli import ClassCodes, DoubtWarning, Label, classify
 from prc_cli.config import load_config
 from prc_cli.core.findings import CHECK_NAMES
@@ -367,7 +368,7 @@ def page(results: list[Result], n_frames: int, picture: Path) -> str:
     arms = ("all points", "ground, building, pole")
     drawn(name, {arm: runs["small_gicp", arm].path_m for arm in arms}, path_m, picture)
     parts = [
-        "<!-- written by python -m benchmarks.odometry; do not edit -->\n\n# Figures of odometry\n",
+        heading("Figures of odometry", "odometry"),
         f"`python -m benchmarks.odometry --frames {n_frames} --seeds {' '.join(map(str, seeds))}`",
         f"\nFrames of a drive: {n_frames}, 10 turns a second, {360 / STEP_DEG:.0f} lines a turn.",
         (

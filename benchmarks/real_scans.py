@@ -15,6 +15,7 @@ from pathlib import Path
 import laspy
 import numpy as np
 
+from benchmarks.pages import duration, heading
 from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes
 from prc_cli.evaluation.reports import as_markdown
@@ -141,15 +142,13 @@ def strip(folder: Path) -> None:
 
 def main() -> None:
     """Print all tables."""
-    print(
-        "<!-- written by python -m benchmarks.real_scans; do not edit -->\n\n# Tables of "
-        "real scans\n"
-    )
+    print(heading("Tables of real scans", "real_scans"))
     with tempfile.TemporaryDirectory() as name:
         profiler(Path(name))
         strip(Path(name))
         oakland(Path(name))
         forest(Path(name))
+    print(duration())
 
 
 if __name__ == "__main__":

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import platform
 import re
 import subprocess
 import sys
@@ -25,7 +24,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -33,9 +31,9 @@ from typing import Any, TypeAlias
 import laspy
 import numpy as np
 
-import prc_cli
 from benchmarks.car import delivered
 from benchmarks.contest_data import DATA, ROOT
+from benchmarks.pages import duration, heading
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.types import F64, I64, U8, Mask
 from prc_cli.simulation.settings import load_settings, open_simulation
@@ -1182,22 +1180,7 @@ def main() -> None:
 
 
 def _page(work: Path, words: Sequence[str], *, only_inputs: bool) -> None:
-    print(
-        "<!-- written by python -m benchmarks.registered; do not edit -->\n\n# Figures of "
-        "registered clouds\n"
-    )
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    day = datetime.now(tz=UTC).date().isoformat()
-    print(
-        f"Version {prc_cli.__version__}, commit {commit.stdout.strip()}, {day}, "
-        f"{platform.machine()}."
-    )
+    print(heading("Figures of registered clouds", "registered"))
     print(
         "Every cell with an arrow is F1 of the raw stream → F1 of the points. The average "
         "is over ground, building,"
@@ -1230,6 +1213,7 @@ def _page(work: Path, words: Sequence[str], *, only_inputs: bool) -> None:
             print(f"| {' | '.join(cells(row))} |", flush=True)
             notes.append(f"\n{case.name}:\n\n```text\n{text}\n```")
         print("\n".join(notes), flush=True)
+    print(duration())
 
 
 def _make(case: Case, work: Path) -> None:

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.contest_data import DATA, view_paths
+from benchmarks.pages import duration, heading
 from prc_cli import ClassCodes, DoubtWarning, Label, classify
 from prc_cli.core.types import F32, I64, U8, Mask
 
@@ -361,7 +362,7 @@ def main() -> None:
     not."""
     wanted = tuple(sys.argv[1:])
     means: dict[tuple[str, bool], list[tuple[dict[str, Score], dict[str, Score]]]] = {}
-    print("<!-- written by python -m benchmarks.rings; do not edit -->\n\n# Figures of rings\n")
+    print(heading("Figures of rings", "rings"))
     print(
         "F1 (precision, recall), nothing told but the file. Patchwork++ 1.4 is told the "
         "scanner's height.\n"
@@ -402,6 +403,7 @@ def main() -> None:
                 f"| {group} ({len(pairs)}) | {'yes' if is_tuned else 'no'} | {name} | "
                 f"{mine[0]} | {theirs[0]} |"
             )
+    print(duration())
 
 
 def _cell(score: Score) -> str:

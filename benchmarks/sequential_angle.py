@@ -25,6 +25,7 @@ import numpy as np
 
 from benchmarks.contest_data import Scan, views
 from benchmarks.contest_methods import label
+from benchmarks.pages import duration, heading
 from benchmarks.user import peak_mib
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.blocks import join
@@ -774,15 +775,13 @@ def main() -> None:
         help=f"{', '.join(PARTS)}; default: all but {', '.join(SPEED)}",
     )
     arguments = parser.parse_args()
-    print(
-        "<!-- written by python -m benchmarks.sequential_angle; do not edit -->\n\n# "
-        "Sequential-angle: figures\n"
-    )
+    print(heading("Sequential-angle: figures", "sequential_angle"))
     with tempfile.TemporaryDirectory() as name:
         for part in arguments.parts or [part for part in PARTS if part not in SPEED]:
             if part not in PARTS:
                 parser.error(f"found {part!r}, expected {', '.join(PARTS)}")
             PARTS[part](Path(name))
+    print(duration())
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import os
 import tempfile
-import textwrap
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.pages import commands, duration, heading, printed_at, say
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.types import F32, F64, I64, U8
@@ -117,22 +117,6 @@ OAKLAND_SCENES: dict[str, dict[str, Any]] = {
     "suburb": {"name": "suburb"},
 }
 OAKLAND_LINES = 1500
-
-
-def say(text: str) -> None:
-    """Print a paragraph, rewrapped."""
-    print(
-        textwrap.fill(" ".join(text.split()), 118, break_long_words=False, break_on_hyphens=False)
-        + "\n"
-    )
-
-
-def commands(*lines: str) -> None:
-    print("```console\n" + "\n".join(f"$ {line}" for line in lines) + "\n```\n")
-
-
-def printed_at(number: float, digits: int = 3) -> str:
-    return "-" if np.isnan(number) else f"{number:.{digits}f}"
 
 
 def made(kind: Kind, folder: Path, **options: Any) -> Path:
@@ -846,10 +830,7 @@ def main() -> None:
     for part in arguments.parts:
         if part not in PARTS:
             parser.error(f"found {part!r}, expected {', '.join(PARTS)}")
-    print(
-        "<!-- written by python -m benchmarks.simulated; do not edit -->\n\n# Simulated "
-        "scans: figures\n"
-    )
+    print(heading("Simulated scans: figures", "simulated"))
     say("""The simulator is described [here](../simulation.md), with what to make of these figures.
     No parameter was chosen on these seeds; `fused` was tuned on other seeds of this simulator. The
     forest's defaults were chosen with the shares of Table II's reference in view, on other
@@ -857,6 +838,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         for part in arguments.parts or PARTS:
             PARTS[part](Path(name))
+    print(duration())
 
 
 if __name__ == "__main__":

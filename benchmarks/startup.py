@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.pages import machine
 from benchmarks.simulated import made
 from prc_cli.config import load_config
 from prc_cli.kernels import KERNELS
@@ -126,8 +127,7 @@ def modules(folder: Path) -> None:
 
 def main() -> None:
     """Print the tables."""
-    print("<!-- written by python -m benchmarks.startup; do not edit -->\n\n## Start\n")
-    print(f"{os.cpu_count()} cores.\n\n| work | s | CPU s |\n|---|---:|---:|")
+    print(f"## Start\n\n{machine()}.\n\n| work | s | CPU s |\n|---|---:|---:|")
     with tempfile.TemporaryDirectory() as name:
         cold(Path(name))
         warm(Path(name))

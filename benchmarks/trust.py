@@ -31,7 +31,7 @@ import numpy as np
 
 from benchmarks.contest_data import ROOT
 from benchmarks.contest_judge import Verdict, mapping_of
-from benchmarks.simulated import say
+from benchmarks.pages import duration, heading, say
 from benchmarks.trust_cases import (
     FRAME_ROWS,
     KITTI_CONFIG,
@@ -552,7 +552,7 @@ def main() -> None:
             report_progress=report_progress,
         )
     results = trial.results
-    print("<!-- written by python -m benchmarks.trust; do not edit -->\n\n# Trust: figures\n")
+    print(heading("Trust: figures", "trust"))
     say(f"""Scans that are {
         "held out: no limit was chosen on them" if arguments.part == "held-out" else "for tuning"
     }, seed {arguments.seed}; {len(results)} runs of prc classify -q. Silent: exit
@@ -565,6 +565,7 @@ def main() -> None:
     print_alarms(results)
     print_silent(results)
     print_words(results)
+    print(duration())
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(list(as_json(results)), indent=1), encoding="utf-8")
     report_progress(f"{len(results)} runs, {time.perf_counter() - start:.0f} s")

@@ -1,0 +1,39 @@
+"""List the benchmarks: ``python -m benchmarks``."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+from benchmarks.pages import FIGURES, TOOK, WRITTEN_BY
+
+FOLDER = Path(__file__).resolve().parent
+
+
+def minutes_by_module() -> dict[str, str]:
+    """Return how long the benchmarks took that wrote the pages in ``docs/figures``."""
+    minutes = {}
+    for path in FIGURES.glob("*.md"):
+        text = path.read_text(encoding="utf-8")
+        module = re.search(rf"{re.escape(WRITTEN_BY)}(\w+)", text)
+        took = re.search(rf"{re.escape(TOOK)}(\d+) min", text)
+        if module and took:
+            minutes[module.group(1)] = took.group(1)
+    return minutes
+
+
+def main() -> None:
+    """Print a line for every module that is a program."""
+    minutes = minutes_by_module()
+    print(f"{'python -m benchmarks.':24} {'minutes':>7}  what")
+    for path in sorted(FOLDER.glob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        if path.stem == "__main__" or '__name__ == "__main__"' not in text:
+            continue
+        summary = (ast.get_docstring(ast.parse(text)) or "").partition("\n\n")[0]
+        print(f"{path.stem:24} {minutes.get(path.stem, '?'):>7}  {' '.join(summary.split())}")
+
+
+if __name__ == "__main__":
+    main()
