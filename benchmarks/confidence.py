@@ -488,7 +488,7 @@ class CodesOf:
 
     def right(self, codes: I64) -> tuple[Mask, Mask]:
         """Return which codes agree, and which records are compared."""
-        reference = np.concatenate(list(open_codes(self.path).chunks())).astype(np.int64)
+        reference = np.concatenate(list(open_codes(self.path).codes())).astype(np.int64)
         if self.mapping == "kitti":
             kinds = {2: (40, 44, 48, 49, 60, 72), 6: (50, 51, 52), 5: (70, 71), 65: (10, 252)}
             expected = np.zeros(len(codes), np.int64)

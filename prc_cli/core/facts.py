@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -23,10 +23,6 @@ class ClassContexts(Protocol):
 
     def take(self, n: int) -> Iterator[U8]:
         """Yield the contexts kept, ``n`` at a time, fewer at the end."""
-
-
-def _nothing(*_: int) -> None:
-    """Change nothing: neither how chunks are cut nor what is decoded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,14 +92,10 @@ class SourceFacts:
     """Whether lines and columns come from a fitted path; such lines need not repeat."""
     findings: tuple[Finding, ...] = ()
     """Answers of checks that were done before lines were found."""
-    describe: Callable[[], dict[str, Any]] = field(default=dict, repr=False, compare=False)
-    """Returns the header's values, ready for JSON, for ``prc info``."""
-    align_chunks: Callable[[int], None] = field(default=_nothing, repr=False, compare=False)
-    """Makes chunks end at multiples of this many records, so that blocks need not be joined."""
-    skip_intensity: Callable[[], None] = field(default=_nothing, repr=False, compare=False)
-    """Leaves ``intensity`` undefined, unless it chooses between returns: it is slow to decode."""
-    check_layers: Callable[[], None] = field(default=_nothing, repr=False, compare=False)
-    """Decodes all layers, so that damage is found: they are copied as bytes."""
+    header: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
+    """Values of the header, ready for JSON, for ``prc info``."""
+    drive: Any = field(default=None, repr=False, compare=False)
+    """The path fitted to the points of a registered cloud; None for other inputs."""
 
     def rule(self, key: str) -> KnownRule | None:
         """Return the rule of a key, None if the file implies none."""

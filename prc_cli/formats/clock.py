@@ -8,14 +8,14 @@ all later times.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import F64
 from prc_cli.formats.options import FACTORS
-from prc_cli.formats.records import DerivedSource, RecordChunk, Source
+from prc_cli.formats.records import RecordChunk, Source, filtered
 
 PERIODS_S = {3600.0: "hour", 86400.0: "day", 604800.0: "GPS week"}
 """Times after which clocks restart [s]."""
@@ -113,53 +113,41 @@ class Unwrapped:
         return 0.0
 
 
-@dataclass(frozen=True)
-class ClockSource(DerivedSource):
-    """Records whose times are seconds and do not restart."""
-
-    source: Source
-    unit: str
-    _clocks: list[Unwrapped] = field(default_factory=list)
-    """The clock of the last reading; empty before."""
-
-    @property
-    def facts(self) -> SourceFacts:
-        """Metadata of the file, and notes on its times."""
-        facts = self.source.facts
-        notes = []
-        if self.unit != "s":
-            notes.append(f"the times are in {self.unit} (input.time_unit)")
-        if any(clock.n for clock in self._clocks):
-            name = self._clocks[0].name
-            notes.append(
-                f"the clock starts again at the end of the {name}: prc continues the times"
-            )
-        return replace(facts, notes=(*facts.notes, *notes)) if notes else facts
-
-    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode the named dimensions."""
-        if "time" not in names:
-            yield from self.source.chunks(names)
-            return
-        unwrapped = Unwrapped()
-        self._clocks[:] = [unwrapped]
-        factor = FACTORS[self.unit]
-        for chunk in self.source.chunks(names):
-            time_s = np.asarray(chunk.values["time"], np.float64)
-            counted = unwrapped.put(time_s * factor if factor != 1.0 else time_s)
-            yield (
-                chunk
-                if counted is time_s
-                else replace(chunk, values={**chunk.values, "time": counted})
-            )
-
-
 def with_clock(source: Source, time_unit: str = "auto") -> Source:
-    """Return a source whose times are seconds and do not restart; as it is without times."""
+    """Return a source whose times are seconds and do not restart; as it is without times.
+
+    A note on a restart is in its facts once the restart was read.
+    """
     if "time" not in source.dimensions:
         return source
     unit = time_unit
     if unit not in FACTORS:
         first = next(iter(source.chunks(("time",))), None)
         unit = "s" if first is None else unit_of(np.asarray(first.values["time"], np.float64))
-    return ClockSource(source, unit)
+    factor = FACTORS[unit]
+    last_clock = Unwrapped()
+
+    def chunks(names: tuple[str, ...], stored: Source) -> Iterator[RecordChunk]:
+        nonlocal last_clock
+        if "time" not in names:
+            yield from stored.chunks(names)
+            return
+        last_clock = clock = Unwrapped()
+        for chunk in stored.chunks(names):
+            time_s = np.asarray(chunk.values["time"], np.float64)
+            counted = clock.put(time_s * factor if factor != 1.0 else time_s)
+            if counted is time_s:
+                yield chunk
+            else:
+                yield replace(chunk, values={**chunk.values, "time": counted})
+
+    def facts_of(facts: SourceFacts) -> SourceFacts:
+        notes = list(facts.notes)
+        if unit != "s":
+            notes.append(f"the times are in {unit} (input.time_unit)")
+        if last_clock.n:
+            end = f"the end of the {last_clock.name}"
+            notes.append(f"the clock starts again at {end}: prc continues the times")
+        return replace(facts, notes=tuple(notes))
+
+    return filtered(source, chunks, facts_of=facts_of)

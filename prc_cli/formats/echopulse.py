@@ -143,16 +143,12 @@ class EchoPulseSource(FieldSource):
         self.facts = SourceFacts(
             notes=(f"{self._n_pulses} shots with {n_echoes} returns; {empty}",),
             rules=rules if "angle" in self._arrays else (),
-            describe=self.describe,
+            header={
+                "shots": self._n_pulses,
+                "arrays": sorted(array.path.name for array in self._arrays.values()),
+            },
             time_name="time.txt",
         )
-
-    def describe(self) -> dict[str, Any]:
-        """Return the arrays as plain values for JSON, for ``prc info``."""
-        return {
-            "shots": self._n_pulses,
-            "arrays": sorted(array.path.name for array in self._arrays.values()),
-        }
 
     def stored(self, keys: tuple[str, ...]) -> Iterator[tuple[int, dict[str, NDArray[Any]], int]]:
         """Yield index of the first record, values by dimension, and number of records."""

@@ -16,7 +16,7 @@ from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import ScanStream
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig, Layout
-from prc_cli.formats.records import RecordChunk, Source
+from prc_cli.formats.records import FilteredSource, RecordChunk, Source
 
 GAP_S = 1.0
 """Longest time between the last record of a file and the first of the next file [s]."""
@@ -32,76 +32,33 @@ class Break:
 
 
 @dataclass(frozen=True)
-class JoinedSource:
-    """Records of several files, one file after the other.
-
-    Numbers of records go on from file to file.
-    """
+class JoinedFiles:
+    """Files of records of one drive, in the order of recording."""
 
     parts: tuple[Source, ...]
 
-    @property
-    def path(self) -> str:
-        """Name of the first file, for messages."""
-        return self.parts[0].path
-
-    @property
-    def format(self) -> str:
-        """Reader name."""
-        return self.parts[0].format
-
-    @property
-    def n_records(self) -> int | None:
-        """Number of records; None if only reading can tell."""
+    def source(self) -> Source:
+        """Return the records of all files; their numbers go on from file to file."""
         counts = [part.n_records for part in self.parts]
-        return None if None in counts else sum(count for count in counts if count is not None)
-
-    @property
-    def dimensions(self) -> tuple[str, ...]:
-        """Names that every file can deliver."""
-        return self.parts[0].dimensions
-
-    @property
-    def facts(self) -> SourceFacts:
-        """Metadata of the first file, notes of all files."""
-        facts_of_parts = [part.facts for part in self.parts]
-        notes = tuple(dict.fromkeys(note for facts in facts_of_parts for note in facts.notes))
-
-        def skip_intensity() -> None:
-            for facts in facts_of_parts:
-                facts.skip_intensity()
-
-        def check_layers() -> None:
-            for facts in facts_of_parts:
-                facts.check_layers()
-
-        return replace(
-            facts_of_parts[0],
-            notes=notes,
-            laz_contexts=None,
-            skip_intensity=skip_intensity,
-            check_layers=check_layers,
-            align_chunks=SourceFacts().align_chunks,
+        known = [count for count in counts if count is not None]
+        first = self.parts[0]
+        return FilteredSource(
+            self.parts,
+            _one_after_the_other,
+            first.path,
+            first.format,
+            sum(known) if len(known) == len(counts) else None,
+            first.dimensions,
+            _facts_of_files,
         )
-
-    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode the named dimensions of all files."""
-        first = 0
-        for part in self.parts:
-            n = 0
-            for chunk in part.chunks(names):
-                record = None if chunk.record is None else chunk.record + first
-                yield replace(chunk, first_record=chunk.first_record + first, record=record)
-                n += chunk.n
-            first += n
 
     def notes(self, number: int) -> tuple[str, ...]:
         """Return notes on a file."""
         return self.parts[number].facts.notes
 
-    def upto(self, n: int) -> JoinedSource:
+    def upto(self, n: int) -> JoinedFiles:
         """Return the first files."""
-        return JoinedSource(self.parts[:n])
+        return JoinedFiles(self.parts[:n])
 
     def firsts(self) -> list[int]:
         """Return the number of the first record of every file, and the number of all records."""
@@ -109,6 +66,23 @@ class JoinedSource:
             part.n_records if part.n_records is not None else _count(part) for part in self.parts
         ]
         return [0, *np.cumsum(counts).tolist()]
+
+
+def _one_after_the_other(names: tuple[str, ...], *parts: Source) -> Iterator[RecordChunk]:
+    first = 0
+    for part in parts:
+        n = 0
+        for chunk in part.chunks(names):
+            record = None if chunk.record is None else chunk.record + first
+            yield replace(chunk, first_record=chunk.first_record + first, record=record)
+            n += chunk.n
+        first += n
+
+
+def _facts_of_files(*facts_of_parts: SourceFacts) -> SourceFacts:
+    """Return the metadata of the first file, with the notes of all files."""
+    notes = dict.fromkeys(note for facts in facts_of_parts for note in facts.notes)
+    return replace(facts_of_parts[0], notes=tuple(notes), laz_contexts=None)
 
 
 RECORDINGS = ("bag", "capture")
@@ -160,16 +134,18 @@ class JoinedInput:
         forms = {part.readable_format().name for part in self.parts}
         return len(forms) == 1 and forms <= set(RECORDINGS)
 
-    def records(self) -> JoinedSource | None:
-        """Open the files as one list of records; None for recordings.
+    def records(self) -> Source | None:
+        """Open the files as one list of records; None for recordings, see :meth:`files`."""
+        return None if self.are_recordings else self.files().source()
+
+    def files(self) -> JoinedFiles:
+        """Open files of records.
 
         Raises
         ------
         InputError
             If a file is a range image or an organised scan.
         """
-        if self.are_recordings:
-            return None
         sources: list[Source] = []
         for part in self.parts:
             source = part.records()
@@ -182,16 +158,15 @@ class JoinedInput:
                     f"classify it alone: prc classify {shlex.quote(str(part))} OUT",
                 )
             sources.append(source)
-        return JoinedSource(tuple(sources))
+        return JoinedFiles(tuple(sources))
 
     def images(self, config: InputConfig, *, lines_at_once: int = 1) -> ScanStream:
         """Open bags, or captures, as one stream; a block is a scan, of as many lines as it has."""
         return open_recordings(self.parts, config)
 
-    def joined(self, config: InputConfig) -> JoinedSource | JoinedRecordings:
+    def joined(self, config: InputConfig) -> JoinedFiles | JoinedRecordings:
         """Return what is known of each file: its first record and its notes."""
-        records = self.records()
-        return JoinedRecordings(self.parts, config) if records is None else records
+        return JoinedRecordings(self.parts, config) if self.are_recordings else self.files()
 
 
 def open_recordings(parts: Sequence[Input], config: InputConfig) -> ScanStream:
@@ -206,7 +181,7 @@ def open_recordings(parts: Sequence[Input], config: InputConfig) -> ScanStream:
     return PacketStream(paths[0], config, parts=paths)
 
 
-def find_break(joined: JoinedSource, *, in_order: bool = True) -> Break | None:
+def find_break(joined: JoinedFiles, *, in_order: bool = True) -> Break | None:
     """Return the first place where the files are not one drive; None if they are.
 
     Dimensions, M and times are compared. Tiles of a drive are not in the order of their times

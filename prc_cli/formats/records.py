@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
@@ -77,8 +77,32 @@ class RecordChunk:
         return np.arange(self.first_record, self.first_record + self.n, dtype=np.int64)
 
 
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """How records are read; a format that has no choice ignores it."""
+
+    multiple_of: int = 1
+    """Chunks have a multiple of so many records, so that blocks need not be joined."""
+    spares_intensity: bool = False
+    """``intensity`` is undefined, unless it chooses between returns: it is slow to decode."""
+    checks_layers: bool = False
+    """All layers are decoded, so that damage is found: they are copied as bytes."""
+
+    def also(self, other: Reading) -> Reading:
+        """Return both requests as one."""
+        return Reading(
+            max(self.multiple_of, other.multiple_of),
+            self.spares_intensity or other.spares_intensity,
+            self.checks_layers or other.checks_layers,
+        )
+
+
 class Source(Protocol):
-    """A file of records, decoded on demand."""
+    """The columns of a file, in the order of its records, decoded on demand.
+
+    A format has a class with this interface; filters (:class:`FilteredSource`) change records on
+    the way.
+    """
 
     @property
     def path(self) -> str:
@@ -108,6 +132,9 @@ class Source(Protocol):
         InputError
             Names the position of damage.
         """
+
+    def with_reading(self, reading: Reading) -> Source:
+        """Return the source as it is to be read; itself where the format has no choice."""
 
 
 def check_names(source: Source, names: tuple[str, ...]) -> None:
@@ -205,6 +232,10 @@ class FieldSource:
         for first, stored, n in self.body.stored(keys or (next(iter(self.columns.values())).key,)):
             yield self.decoded(first, stored, names, n)
 
+    def with_reading(self, reading: Reading) -> FieldSource:
+        """Return the source; one way of reading is all that most formats have."""
+        return self
+
     def decoded(
         self,
         first: int,
@@ -222,36 +253,74 @@ class FieldSource:
         return RecordChunk(first, values, n)
 
 
+def _first(facts: SourceFacts, *_: SourceFacts) -> SourceFacts:
+    return facts
+
+
 @dataclass(frozen=True)
-class DerivedSource:
-    """Base class of sources whose ``chunks`` change the records of another source."""
+class FilteredSource:
+    """Records that a filter makes of those of other sources; see :func:`filtered`."""
 
-    source: Source
-
-    @property
-    def path(self) -> str:
-        """File name, for messages."""
-        return self.source.path
-
-    @property
-    def format(self) -> str:
-        """Reader name."""
-        return self.source.format
-
-    @property
-    def n_records(self) -> int | None:
-        """Number of records; None if only reading can tell."""
-        return self.source.n_records
-
-    @property
-    def dimensions(self) -> tuple[str, ...]:
-        """Names that the source can deliver, standard names first."""
-        return self.source.dimensions
+    sources: tuple[Source, ...]
+    read: Callable[..., Iterator[RecordChunk]]
+    """Yields the chunks: ``(names, *sources)``."""
+    path: str
+    """File name, for messages."""
+    format: str
+    """Reader name."""
+    n_records: int | None
+    """Number of records; None if only reading can tell."""
+    dimensions: tuple[str, ...]
+    """Names that :meth:`chunks` can deliver, standard names first."""
+    facts_of: Callable[..., SourceFacts] = _first
+    """Returns the metadata by those of the sources."""
 
     @property
     def facts(self) -> SourceFacts:
-        """Metadata of the file."""
-        return self.source.facts
+        """Metadata of the records; what a reader learns is there after reading."""
+        return self.facts_of(*(source.facts for source in self.sources))
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Decode dimensions in order, in bounded memory."""
+        return self.read(names, *self.sources)
+
+    def with_reading(self, reading: Reading) -> FilteredSource:
+        """Return the same records of sources that are read in this way."""
+        sources = tuple(source.with_reading(reading) for source in self.sources)
+        return replace(self, sources=sources)
+
+
+def filtered(
+    source: Source,
+    read: Callable[..., Iterator[RecordChunk]],
+    *more: Source,
+    dimensions: tuple[str, ...] | None = None,
+    facts_of: Callable[..., SourceFacts] = _first,
+) -> FilteredSource:
+    """Return the records of a source as a filter changes them.
+
+    Parameters
+    ----------
+    source
+        Gives path, format and number of records.
+    read
+        Yields the chunks: ``(names, source, *more)``.
+    more
+        Sources that are read beside it.
+    dimensions
+        None = those of the source.
+    facts_of
+        Returns the metadata by those of all sources, the ones of the source by default.
+    """
+    return FilteredSource(
+        (source, *more),
+        read,
+        source.path,
+        source.format,
+        source.n_records,
+        source.dimensions if dimensions is None else dimensions,
+        facts_of,
+    )
 
 
 NO_CODE = -1
@@ -260,25 +329,54 @@ _WHOLE = float(1 << 53)
 """Largest float64 below which every whole number is exact."""
 
 
+CLASS_CODE = "class code"
+"""Dimension of class codes, int64; :data:`NO_CODE` = the record has none.
+
+The blank keeps it apart from dimensions of files.
+"""
+
+
 class CodeSource:
-    """Class codes of one file, in record order."""
+    """Class codes of one file, in record order: a source of :data:`CLASS_CODE`."""
+
+    format = "class codes"
+    """Reader name."""
+    dimensions: tuple[str, ...] = (CLASS_CODE,)
+    """All that it can deliver."""
+    facts = SourceFacts()
+    """Labels alone tell nothing else."""
 
     def __init__(
         self,
         path: Path,
-        n: int | None,
+        n_records: int | None,
         read: Callable[[], Iterator[NDArray[Any]]],
         *,
         missing: bool = False,
         name: str = "",
     ) -> None:
         self.path = str(path)
-        self.n = n
+        """File name, for messages."""
+        self.n_records = n_records
+        """Number of records; None if only reading can tell."""
         self.name = name
+        """What the file calls the codes; empty where no other reader can read them."""
         self._read = read
         self._missing = missing
 
-    def chunks(self) -> Iterator[I64]:
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Decode the codes, or only count them."""
+        check_names(self, names)
+        first = 0
+        for codes in self.codes():
+            yield RecordChunk(first, {CLASS_CODE: codes} if names else {}, len(codes))
+            first += len(codes)
+
+    def with_reading(self, reading: Reading) -> CodeSource:
+        """Return the source, which has one way of reading."""
+        return self
+
+    def codes(self) -> Iterator[I64]:
         """Yield the codes, (n,) int64; -1 = the record has none."""
         first = 0
         for values in self._read():

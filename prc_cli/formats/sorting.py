@@ -8,14 +8,13 @@ neither on chunks nor on the length of runs.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
-from prc_cli.formats.records import DerivedSource, RecordChunk, Source
+from prc_cli.formats.records import RecordChunk, Source, filtered
 from prc_cli.formats.writing.disk import scratch_errors, scratch_file
 
 RUN_RECORDS = 1 << 19
@@ -34,20 +33,15 @@ def sorted_by_time(
     if "time" not in source.dimensions:
         problem = f"no time to sort by, found the dimensions {', '.join(source.dimensions)}"
         raise InputError(source.path, problem, "without times the order cannot be restored")
-    return _SortedSource(source, max(run_records, 1), max(merge_records, 1))
+    run_records = max(run_records, 1)
+    merge_records = max(merge_records, 1)
 
-
-@dataclass(frozen=True)
-class _SortedSource(DerivedSource):
-    run_records: int
-    merge_records: int
-
-    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+    def chunks(names: tuple[str, ...], stored: Source) -> Iterator[RecordChunk]:
         with scratch_file("sorting") as handle:
             runs: list[_SortedRun] = []
             position = 0
             pending: NDArray[np.void] | None = None
-            for records in self._runs(names):
+            for records in _sorted_runs(stored, names, run_records):
                 # the last run stays in memory: an input of one run needs no disk
                 if pending is not None:
                     with scratch_errors("sorting"):
@@ -60,48 +54,52 @@ class _SortedSource(DerivedSource):
             runs.append(_SortedRun(None, 0, len(pending), pending.dtype, pending))
             del records, pending
             first = 0
-            for merged in _merge(runs, self.merge_records):
-                for start in range(0, len(merged), self.run_records):
-                    part = merged[start : start + self.run_records]
+            for merged in _merge(runs, merge_records):
+                for start in range(0, len(merged), run_records):
+                    part = merged[start : start + run_records]
                     values = {name: np.array(part[name]) for name in names}
                     yield RecordChunk(first, values, len(part), np.array(part[_RECORD]))
                     first += len(part)
 
-    def _runs(self, names: tuple[str, ...]) -> Iterator[NDArray[np.void]]:
-        parts: list[NDArray[np.void]] = []
-        n_records = 0
-        for chunk in self.source.chunks(tuple(dict.fromkeys((*names, "time")))):
-            records = self._pack(chunk, names)
-            for start in range(0, len(records), self.run_records):
-                part = records[start : start + self.run_records]
-                if n_records + len(part) > self.run_records:
-                    yield _sort(parts)
-                    parts = []
-                    n_records = 0
-                parts.append(part)
-                n_records += len(part)
-        if parts:
-            yield _sort(parts)
+    return filtered(source, chunks)
 
-    def _pack(self, chunk: RecordChunk, names: tuple[str, ...]) -> NDArray[np.void]:
-        time_s = np.asarray(chunk.values["time"], np.float64)
-        record = chunk.records()
-        finite = np.isfinite(time_s)
-        if not finite.all():
-            i = int(np.argmin(finite))
-            problem = f"record {record[i]} has time {time_s[i]}, expected a finite time to sort by"
-            raise InputError(
-                self.path,
-                problem,
-                "drop such records, or take the order as it is with --trust-order",
-            )
-        fields = [(name, chunk.values[name].dtype) for name in names]
-        packed = np.empty(chunk.n, dtype=[(_TIME, np.float64), (_RECORD, np.int64), *fields])
-        packed[_TIME] = time_s
-        packed[_RECORD] = record
-        for name in names:
-            packed[name] = chunk.values[name]
-        return packed
+
+def _sorted_runs(
+    source: Source, names: tuple[str, ...], run_records: int
+) -> Iterator[NDArray[np.void]]:
+    parts: list[NDArray[np.void]] = []
+    n_records = 0
+    for chunk in source.chunks(tuple(dict.fromkeys((*names, "time")))):
+        records = _pack(source.path, chunk, names)
+        for start in range(0, len(records), run_records):
+            part = records[start : start + run_records]
+            if n_records + len(part) > run_records:
+                yield _sort(parts)
+                parts = []
+                n_records = 0
+            parts.append(part)
+            n_records += len(part)
+    if parts:
+        yield _sort(parts)
+
+
+def _pack(path: str, chunk: RecordChunk, names: tuple[str, ...]) -> NDArray[np.void]:
+    """Return the records with their times and numbers; a time that is not finite is refused."""
+    time_s = np.asarray(chunk.values["time"], np.float64)
+    record = chunk.records()
+    finite = np.isfinite(time_s)
+    if not finite.all():
+        i = int(np.argmin(finite))
+        problem = f"record {record[i]} has time {time_s[i]}, expected a finite time to sort by"
+        hint = "drop such records, or take the order as it is with --trust-order"
+        raise InputError(path, problem, hint)
+    fields = [(name, chunk.values[name].dtype) for name in names]
+    packed = np.empty(chunk.n, dtype=[(_TIME, np.float64), (_RECORD, np.int64), *fields])
+    packed[_TIME] = time_s
+    packed[_RECORD] = record
+    for name in names:
+        packed[name] = chunk.values[name]
+    return packed
 
 
 def _sort(parts: list[NDArray[np.void]]) -> NDArray[np.void]:

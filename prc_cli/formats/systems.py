@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import F64
-from prc_cli.formats.records import AXES, DerivedSource, RecordChunk, Source
+from prc_cli.formats.records import AXES, RecordChunk, Source, filtered
 
 REPROJECT = (
     "reproject it to metres, for example: pdal translate IN.las OUT.las reprojection "
@@ -155,24 +155,17 @@ def in_metres(source: Source) -> Source:
         or not set(AXES) <= set(source.dimensions)
     ):
         return source
-    return _InMetres(source, units)
+    scales = dict(zip(AXES, (units.xy_m, units.xy_m, units.z_m), strict=True))
+    heights = "" if units.z_m == units.xy_m else f", heights of {units.z_m:g} m"
+    unit = f"{units.unit} of {units.xy_m:.6g} m{heights} ({units.name})"
+    note = f"x, y, z are in {unit}: converted to metres"
 
-
-@dataclass(frozen=True)
-class _InMetres(DerivedSource):
-    units: SystemUnits
-
-    @property
-    def facts(self) -> SourceFacts:
-        facts = self.source.facts
-        units = self.units
-        heights = "" if units.z_m == units.xy_m else f", heights of {units.z_m:g} m"
-        unit = f"{units.unit} of {units.xy_m:.6g} m{heights} ({units.name})"
-        note = f"x, y, z are in {unit}: converted to metres"
-        return replace(facts, notes=(*facts.notes, note))
-
-    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        scales = dict(zip(AXES, (self.units.xy_m, self.units.xy_m, self.units.z_m), strict=True))
-        for chunk in self.source.chunks(names):
+    def chunks(names: tuple[str, ...], stored: Source) -> Iterator[RecordChunk]:
+        for chunk in stored.chunks(names):
             scaled = {name: chunk.values[name] * scales[name] for name in AXES if name in names}
             yield replace(chunk, values={**chunk.values, **scaled})
+
+    def facts_of(facts: SourceFacts) -> SourceFacts:
+        return replace(facts, notes=(*facts.notes, note))
+
+    return filtered(source, chunks, facts_of=facts_of)

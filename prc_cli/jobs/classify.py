@@ -184,6 +184,7 @@ def open_for_method(
     *,
     geometry: bool = True,
     only_ranges: bool = False,
+    checks_layers: bool = False,
 ) -> ScanStream:
     """Open an input; with ``geometry`` blocks have angles even if the method needs none."""
     # without a method the input is read as for PRC, which needs the least
@@ -196,6 +197,7 @@ def open_for_method(
         geometry=geometry or config.needs_beams,
         only_ranges=only_ranges,
         with_intensity=needs.intensity,
+        checks_layers=checks_layers,
     )
     if not config.needs_beams:
         return stream
@@ -213,10 +215,12 @@ def open_decided(
     geometry: bool,
     only_ranges: bool,
     loading: Callable[[], AbstractContextManager[None]],
+    checks_layers: bool = False,
 ) -> tuple[LoadedConfig, ScanStream]:
     """Open an input for the named method, else for the method that prc chooses.
 
-    ``loading`` is the context in which the loops of a chosen method are loaded.
+    ``loading`` is the context in which the loops of a chosen method are loaded;
+    ``checks_layers`` is that of :func:`prc_cli.streams.open.open_input`.
     """
     config = loaded.config
     if not config.is_decided:
@@ -229,6 +233,7 @@ def open_decided(
                 config.input,
                 lines_at_once=config.fused.method().needs.lines_per_block or 1,
                 only_ranges=only_ranges,
+                checks_layers=checks_layers,
             )
             choice, stream = choose(stream, config)
         loaded = decided_by(choice, loaded)
@@ -239,7 +244,13 @@ def open_decided(
         if stream is not None and chosen.needs_beams and not lacks_intensity:
             return loaded, stream
         # else this stream has more or less than the method needs, and the input is opened again
-    stream = open_for_method(scan, loaded.config, geometry=geometry, only_ranges=only_ranges)
+    stream = open_for_method(
+        scan,
+        loaded.config,
+        geometry=geometry,
+        only_ranges=only_ranges,
+        checks_layers=checks_layers,
+    )
     return loaded, stream
 
 
@@ -380,12 +391,17 @@ def _classify(
         # only a cloud that is built from blocks needs times and intensities
         only_ranges = not makes_cloud or is_las_to_las
         is_new_cloud = makes_cloud and not scan.keeps_points(output)
+        # LAZ to LAZ copies all layers as bytes: those not read here are decoded to find damage
+        copies_layers = suffix_of(output) == LAZ and not asked_columns(loaded.config.output)
         loaded, opened = open_decided(
-            scan, loaded, engine, geometry=is_new_cloud, only_ranges=only_ranges, loading=loading
+            scan,
+            loaded,
+            engine,
+            geometry=is_new_cloud,
+            only_ranges=only_ranges,
+            loading=loading,
+            checks_layers=copies_layers,
         )
-        if suffix_of(output) == LAZ and not asked_columns(loaded.config.output):
-            # LAZ to LAZ copies all layers as bytes: those not read here are decoded to find damage
-            opened.info.facts.check_layers()
         needs = loaded.config.classifier.method().needs
         if loaded.config.output.confidence:
             # raises an error if the method has no confidence

@@ -347,12 +347,13 @@ def _carry_array(
     if CLASS not in ArrayFile(path).headers:
         return None
     code_source = open_codes(path, CLASS)
-    if code_source.n != info.n_records:
-        problem = f"the array {CLASS!r} contains {code_source.n} codes, expected {info.n_records}"
+    n_codes = code_source.n_records
+    if n_codes != info.n_records:
+        problem = f"the array {CLASS!r} contains {n_codes} codes, expected {info.n_records}"
         raise InputError(str(path), problem, "give it the shape of the ranges, or another name")
     kind = np.dtype([("code", "<i4")])
     values = stack.enter_context(DiskColumn(output, kind, (NO_CODE,)))
-    for codes in code_source.chunks():
+    for codes in code_source.codes():
         rows = np.empty(len(codes), kind)
         rows["code"] = np.where(np.abs(codes) < 2**31, codes, NO_CODE)
         values.append(rows)

@@ -10,7 +10,7 @@ import contextlib
 import math
 import tempfile
 from collections.abc import Generator, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from prc_cli.core.threads import closing_items
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import Layout
-from prc_cli.formats.records import NO_CODE, RecordChunk, Source
+from prc_cli.formats.records import NO_CODE, FilteredSource, RecordChunk, Source
 from prc_cli.formats.writing.columns import (
     SPACING_M,
     AtStations,
@@ -47,8 +47,8 @@ _READ_AT_ONCE = 1 << 17
 
 
 @dataclass(frozen=True)
-class PlacedSource:
-    """Coordinates, time, range and line of every shot of a drive, by record.
+class _Placer:
+    """Gives every shot of a drive coordinates by a trajectory.
 
     A shot of a profiler is in the scan plane: down, and to the left by the scan angle. Other
     scanners have coordinates relative to the scanner. The mount rotates both, the lever arm moves
@@ -63,19 +63,11 @@ class PlacedSource:
     """From the trajectory's point to the scanner, on the axes of the vehicle."""
     nadir_deg: float = 0.0
     """Scan angle of the beam that points straight down."""
-    format: str = "drive"
-    facts: SourceFacts = field(default_factory=SourceFacts)
-    dimensions: tuple[str, ...] = _NAMES
 
     @property
     def path(self) -> str:
         """File name, for messages."""
         return self.stream.info.path
-
-    @property
-    def n_records(self) -> int | None:
-        """Number of records; None if it is not known before reading."""
-        return self.stream.info.n_records
 
     @cached_property
     def _mount(self) -> F64:
@@ -93,7 +85,7 @@ class PlacedSource:
         fill = (np.nan,) * (len(_NAMES) - 1) + (-1.0,)
         with DiskColumn(Path(tempfile.gettempdir()) / "placed", _KEPT, fill) as rows:
             first = 0
-            stop = self.n_records or 0
+            stop = self.stream.info.n_records or 0
             for block in self.stream.blocks():
                 self._place(block, rows)
                 # the last records may have no return
@@ -186,8 +178,11 @@ def placed_source(
     *,
     crs: str | None = None,
     layout: Layout | None = None,
-) -> PlacedSource:
-    """Open a drive as in the record beside its labels, with coordinates from poses and a mount."""
+) -> Source:
+    """Open a drive as in the record beside its labels, with coordinates from poses and a mount.
+
+    The dimensions are coordinates, time, range and line of every shot, by record.
+    """
     layout_options = {} if layout is None else {"layout": layout.model_dump()}
     scan, loaded = resolve(drive, load_config(options=reading_beside(labels) | layout_options))
     reading = loaded.config.input
@@ -214,8 +209,16 @@ def placed_source(
     )
     arm = mount[3:] or reading.trajectory_lever_arm or (0.0, 0.0, 0.0)
     turn = (*mount[:3], 0.0, 0.0, 0.0)[:3]
-    facts = SourceFacts(crs_wkt=system)
-    return PlacedSource(stream, track, turn, arm, reading.nadir or 0.0, facts=facts)  # type: ignore[arg-type]
+    placer = _Placer(stream, track, turn, arm, reading.nadir or 0.0)  # type: ignore[arg-type]
+    return FilteredSource(
+        (),
+        placer.chunks,
+        placer.path,
+        "drive",
+        stream.info.n_records,
+        _NAMES,
+        lambda: SourceFacts(crs_wkt=system),
+    )
 
 
 def axes_of(

@@ -176,7 +176,7 @@ def _field_line(values: dict[str, object]) -> str:
 
 def _text_lines(source: TextSource) -> tuple[list[str], Layout | None]:
     """Return the columns with known names, and columns whose numbers show what they are."""
-    description = source.describe()
+    description = source.facts.header
     first = next(iter(source.chunks(source.dimensions)), None)
     columns = (
         {}

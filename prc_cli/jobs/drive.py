@@ -23,9 +23,9 @@ from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.input import Input
 from prc_cli.formats.joined import (
     Break,
+    JoinedFiles,
     JoinedInput,
     JoinedRecordings,
-    JoinedSource,
     find_break,
 )
 from prc_cli.formats.outputs import open_writer, prepare_label_outputs
@@ -129,15 +129,15 @@ def classify_drive(
 
 def _joined(
     scans: Sequence[Input], config: LoadedConfig
-) -> tuple[JoinedInput, LoadedConfig, JoinedSource | JoinedRecordings, Break | None]:
+) -> tuple[JoinedInput, LoadedConfig, JoinedFiles | JoinedRecordings, Break | None]:
     # files, their configuration, and the first file that does not continue the file before it
     loaded = with_layout_beside(scans[0], config)
     layout = loaded.config.layout
     drive = JoinedInput(tuple(replace(scan, layout=layout) for scan in scans))
     joined = drive.joined(loaded.config.input)
     cut = None
-    if isinstance(joined, JoinedSource):
-        in_order = not sorts_by_itself(joined, loaded.config.input)
+    if isinstance(joined, JoinedFiles):
+        in_order = not sorts_by_itself(joined.source(), loaded.config.input)
         cut = find_break(joined, in_order=in_order)
     return drive, loaded, joined, cut
 
@@ -154,7 +154,7 @@ class _StreamRun:
     def execute(
         self,
         loaded: LoadedConfig,
-        joined: JoinedSource | JoinedRecordings,
+        joined: JoinedFiles | JoinedRecordings,
         *,
         overwrite: bool,
         progress: Progress | None,

@@ -31,9 +31,10 @@ from prc_cli.formats.las.vlrs import names_of_file
 from prc_cli.formats.options import InputConfig, parse_rate
 from prc_cli.formats.records import (
     Contents,
-    DerivedSource,
+    Reading,
     RecordChunk,
     Source,
+    filtered,
     watched_contents,
 )
 from prc_cli.formats.sorting import sorted_by_time
@@ -232,8 +233,8 @@ def _decode(scan: Input) -> None:
     """Decode every byte of a file of records."""
     source = scan.records()
     if source is not None:
-        source.facts.check_layers()
-        for _ in source.chunks(source.dimensions):
+        every_byte = source.with_reading(Reading(checks_layers=True))
+        for _ in every_byte.chunks(source.dimensions):
             pass
 
 
@@ -492,7 +493,7 @@ def _describe(
         order=order,
         facts=facts,
         assumptions=() if info is None else info.assumptions,
-        header=source_facts.describe(),
+        header=dict(source_facts.header),
         notes=source_facts.notes,
         findings=findings,
         problem=problem,
@@ -592,21 +593,19 @@ def _line_order(stream: ScanStream) -> OrderEvidence | None:
     return max(scanners, key=lambda order: (order.n_back, order.n_steps), default=None)
 
 
-class _UnitRanges(DerivedSource):
-    """A source whose ranges are all 1, to find lines without ranges."""
+def _with_unit_ranges(source: Source) -> Source:
+    """Return a source whose ranges are all 1, to find lines without ranges."""
 
-    @property
-    def dimensions(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(("range", *self.source.dimensions)))
-
-    @property
-    def facts(self) -> SourceFacts:
-        # without notes: the caller reports them
-        return replace(self.source.facts, notes=())
-
-    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        for chunk in self.source.chunks(tuple(name for name in names if name != "range")):
+    def chunks(names: tuple[str, ...], stored: Source) -> Iterator[RecordChunk]:
+        for chunk in stored.chunks(tuple(name for name in names if name != "range")):
             yield replace(chunk, values={**chunk.values, "range": np.ones(chunk.n)})
+
+    def facts_of(facts: SourceFacts) -> SourceFacts:
+        # the caller reports the notes
+        return replace(facts, notes=())
+
+    dimensions = tuple(dict.fromkeys(("range", *source.dimensions)))
+    return filtered(source, chunks, dimensions=dimensions, facts_of=facts_of)
 
 
 def _lines_only(source: Source, inputs: InputConfig) -> ScanStream | None:
@@ -616,7 +615,7 @@ def _lines_only(source: Source, inputs: InputConfig) -> ScanStream | None:
         return None
     try:
         return open_grid(
-            _UnitRanges(source), inputs.model_copy(update={"range": "dimension:range"})
+            _with_unit_ranges(source), inputs.model_copy(update={"range": "dimension:range"})
         )
     except (InputError, ConfigError):
         return None

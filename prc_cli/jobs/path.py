@@ -157,18 +157,17 @@ def hold_against(
         "points_per_line": None,
     }
     cloud, _, _ = with_points(in_metres(source), inputs.model_copy(update=only_points))
-    refuse(str(scan), cloud.drive.findings)
-    comparisons = tuple(
-        compare(path_found, trajectory) for path_found in scanner_paths(cloud.drive)
-    )
+    drive = cloud.facts.drive
+    refuse(str(scan), drive.findings)
+    comparisons = tuple(compare(path_found, trajectory) for path_found in scanner_paths(drive))
     findings = [_finding(comparison, inputs) for comparison in comparisons]
     worst = max(findings, key=lambda finding: finding.verdict)
-    doubtful = [finding for finding in cloud.drive.findings if finding.verdict > Verdict.FINE]
+    doubtful = [finding for finding in drive.findings if finding.verdict > Verdict.FINE]
     if doubtful:
         worst = replace(
             worst, hint=f"{worst.hint}; the path found has a warning: {doubtful[0].problem}"
         )
-    return cloud.drive, comparisons, worst
+    return drive, comparisons, worst
 
 
 def _positions(source: Source, inputs: InputConfig) -> Positions:

@@ -15,156 +15,162 @@ from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import F64, I64, U8, Mask
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.las.read import LasSource
-from prc_cli.formats.records import NO_CODE, CodeSource, DerivedSource, RecordChunk, Source
+from prc_cli.formats.records import (
+    CLASS_CODE,
+    NO_CODE,
+    CodeSource,
+    Reading,
+    RecordChunk,
+    Source,
+    filtered,
+)
 from prc_cli.formats.tables.read import open_table
 from prc_cli.formats.writing.record import dense_line_beside
-from prc_cli.matching.join import CODE, KEY, RECORD, SAME, Columns, columns_of, in_step
+from prc_cli.matching.join import CODE, KEY, RECORD, SAME, Columns, in_step
 from prc_cli.matching.keys import AXES, KeyRule, exact_keys
 
 MISSING = 0
 """Code of a shot without return in label files."""
 MAX_SAME = 3
 """Numbers of 16 bits that are packed into the one that must be equal."""
-_CODE_BESIDE = "code beside"
-"""Column of codes from a file of their own, before they are checked."""
 _LIMIT_16 = 1 << 16
+_RECORD = "record number"
+"""Column of the numbers of records; the blank keeps it apart from dimensions."""
 
 
-@dataclass(frozen=True)
-class KeyedSource(DerivedSource):
-    """The records of a source that have a class, each with key, ``same`` and code.
+def classified(records: Source) -> Source:
+    """Return the records of labels that have a class, with :data:`CLASS_CODE` (uint8).
 
-    Chunks hold any of :data:`KEY` (float64), :data:`SAME` (int64), :data:`CODE` (uint8) and the
-    dimensions of the source. Records without a class (an empty cell; code 0 in label files, a shot
-    without return) are left out.
+    Records without a class (an empty cell; code 0 in label files, a shot without return) are left
+    out.
+    """
+    return filtered(records, lambda names, labels: _classified(names, labels, records.path))
+
+
+def with_codes(records: Source, codes: CodeSource) -> Source:
+    """Return the records that have a class in a file of codes, with it; see :func:`classified`."""
+
+    def chunks(names: tuple[str, ...], stored: Source, labels: Source) -> Iterator[RecordChunk]:
+        carried = tuple(name for name in names if name != CLASS_CODE)
+        streams: list[Iterator[Columns]] = [
+            ({**chunk.values, _RECORD: chunk.records()} for chunk in stored.chunks(carried)),
+            (chunk.values for chunk in labels.chunks((CLASS_CODE,))),
+        ]
+        first = 0
+        for values, coded in in_step(streams, lambda n: _check_counts(stored, labels, n)):
+            record = values.pop(_RECORD)
+            yield RecordChunk(first, {**values, **coded}, len(record), record)
+            first += len(record)
+
+    beside = filtered(records, chunks, codes, dimensions=(*records.dimensions, CLASS_CODE))
+    return filtered(beside, lambda names, labels: _classified(names, labels, codes.path))
+
+
+def _classified(names: tuple[str, ...], labels: Source, path: str) -> Iterator[RecordChunk]:
+    n_kept = 0
+    for chunk in labels.chunks(tuple(dict.fromkeys((*names, CLASS_CODE)))):
+        codes = chunk.values[CLASS_CODE]
+        has_class = (codes != MISSING) & (codes != NO_CODE)
+        record = chunk.records()[has_class]
+        values = {name: chunk.values[name][has_class] for name in names}
+        if CLASS_CODE in names:
+            values[CLASS_CODE] = _class_codes(path, codes[has_class], record)
+        yield RecordChunk(n_kept, values, len(record), record)
+        n_kept += len(record)
+
+
+def _check_counts(records: Source, codes: Source, n: Sequence[int]) -> None:
+    n_records, n_codes = n
+    if n_records == n_codes:
+        return
+    expected = f"{n_records} as {records.path} has records"
+    if n_codes < n_records:
+        expected = f"one for every record of {records.path}, which has more"
+    problem = f"found {n_codes} class codes, expected {expected}"
+    raise InputError(codes.path, problem, "name the input that was classified")
+
+
+def _class_codes(path: str, codes: NDArray[Any], record: I64) -> U8:
+    """Return codes as LAS holds them, (n,) uint8; refuse others."""
+    if codes.dtype == np.uint8:
+        return codes
+    with np.errstate(invalid="ignore"):
+        wrong = ~((codes >= 0) & (codes <= 255) & (np.floor(codes) == codes))
+    if wrong.any():
+        first_wrong = int(np.argmax(wrong))
+        problem = (
+            f"record {record[first_wrong]}: found the class code {codes[first_wrong]}, "
+            "expected 0 to 255 as LAS holds them"
+        )
+        hint = "name the dimension with LAS class codes: --dimension NAME"
+        raise InputError(path, problem, hint)
+    return codes.astype(np.uint8)
+
+
+def with_key(records: Source, rule: KeyRule, code_dimension: str = "classification") -> Source:
+    """Return records with the key of a rule, and their class.
+
+    Chunks hold any of :data:`KEY` (float64), :data:`SAME` (int64), :data:`CODE` (uint8, from
+    ``code_dimension``) and the dimensions of the records.
     """
 
-    rule: KeyRule
-    codes: CodeSource | None = None
-    """Class codes from a file of their own, in record order; None = a dimension of the source."""
-    code_dimension: str = "classification"
-
-    @property
-    def dimensions(self) -> tuple[str, ...]:
-        """Names that :meth:`chunks` can deliver."""
-        return (KEY, SAME, CODE, *self.source.dimensions)
-
-    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode; every chunk carries ``record``."""
+    def chunks(names: tuple[str, ...], stored: Source) -> Iterator[RecordChunk]:
         carried = tuple(name for name in names if name not in (KEY, SAME, CODE))
-        code_names = () if self.codes is not None else (self.code_dimension,)
-        wanted = tuple(dict.fromkeys((*self.rule.names, *code_names, *carried)))
-        streams = [columns_of(self.source, wanted, sort=False)]
-        if self.codes is not None:
-            streams.append({_CODE_BESIDE: chunk} for chunk in self.codes.chunks())
-        n_kept = 0
-        for values, *beside in in_step(streams, self._check_lengths):
-            if beside:
-                codes = beside[0][_CODE_BESIDE]
-                classified = (codes != MISSING) & (codes != NO_CODE)
-                codes = codes[classified]
-                values = {name: column[classified] for name, column in values.items()}
-            else:
-                codes = np.asarray(values[self.code_dimension])
-            record = values[RECORD]
-            out = {name: values[name] for name in carried}
-            out[CODE] = self._to_codes(codes, record)
-            out[KEY] = self._keys(values, record, n_kept)
-            out[SAME] = self._same(values, record)
-            yield RecordChunk(n_kept, {name: out[name] for name in names}, len(record), record)
-            n_kept += len(record)
+        wanted = tuple(dict.fromkeys((*rule.names, code_dimension, *carried)))
+        for chunk in stored.chunks(wanted):
+            record = chunk.records()
+            columns = {
+                **chunk.values,
+                CODE: _class_codes(stored.path, chunk.values[code_dimension], record),
+                KEY: _keys(stored.path, chunk, rule),
+                SAME: _packed(stored.path, chunk, rule.same),
+            }
+            values = {name: columns[name] for name in names}
+            yield RecordChunk(chunk.first_record, values, chunk.n, record)
 
-    def _check_lengths(self, n: Sequence[int]) -> None:
-        if self.codes is None or n[0] == n[1]:
-            return
-        n_records, n_codes = n
-        expected = f"{n_records} as {self.source.path} has records"
-        if n_codes < n_records:
-            expected = f"one for every record of {self.source.path}, which has more"
-        problem = f"found {n_codes} class codes, expected {expected}"
-        raise InputError(self.codes.path, problem, "name the input that was classified")
+    return filtered(records, chunks, dimensions=(KEY, SAME, CODE, *records.dimensions))
 
-    def _to_codes(self, codes: NDArray[Any], record: I64) -> U8:
+
+def _keys(path: str, chunk: RecordChunk, rule: KeyRule) -> F64:
+    if rule.kind == "record":
+        return chunk.records().astype(np.float64)
+    if rule.kind == "rank":
+        first = chunk.first_record
+        return np.arange(first, first + chunk.n, dtype=np.float64)
+    stored = chunk.values[rule.dimension]
+    key, usable = exact_keys(stored)
+    expected = "a whole number below 2^53"
+    if rule.kind in ("time", "place"):
+        usable = np.isfinite(key)
+        expected = f"a finite {'time' if rule.kind == 'time' else 'coordinate'}"
+    if not usable.all():
+        first_wrong = int(np.argmin(usable))
+        problem = (
+            f"record {chunk.records()[first_wrong]}: found {rule.dimension} "
+            f"{stored[first_wrong]}, expected {expected} for every point"
+        )
+        hint = "leave such points out, or match by something else with --match"
+        raise InputError(path, problem, hint)
+    return key + rule.offset if rule.offset else key
+
+
+def _packed(path: str, chunk: RecordChunk, names: tuple[str, ...]) -> I64:
+    """Return dimensions that must be equal as one number, 16 bits each."""
+    packed = np.zeros(chunk.n, np.int64)
+    for name in names:
+        stored = chunk.values[name]
         with np.errstate(invalid="ignore"):
-            wrong = ~((codes >= 0) & (codes <= 255) & (np.floor(codes) == codes))
+            wrong = ~((stored >= 0) & (stored < _LIMIT_16) & (np.floor(stored) == stored))
         if wrong.any():
             first_wrong = int(np.argmax(wrong))
-            where = self.path if self.codes is None else self.codes.path
             problem = (
-                f"record {record[first_wrong]}: found the class code {codes[first_wrong]}, "
-                "expected 0 to 255 as LAS holds them"
+                f"record {chunk.records()[first_wrong]}: found {name} {stored[first_wrong]}, "
+                "expected a whole number from 0 to 65535"
             )
-            raise InputError(
-                where, problem, "name the dimension with LAS class codes: --dimension NAME"
-            )
-        return codes.astype(np.uint8)
-
-    def _keys(self, values: dict[str, NDArray[Any]], record: I64, n_before: int) -> F64:
-        rule = self.rule
-        if rule.kind == "record":
-            return record.astype(np.float64)
-        if rule.kind == "rank":
-            return np.arange(n_before, n_before + len(record), dtype=np.float64)
-        stored = values[rule.dimension]
-        key, usable = exact_keys(stored)
-        expected = "a whole number below 2^53"
-        if rule.kind in ("time", "place"):
-            usable = np.isfinite(key)
-            expected = f"a finite {'time' if rule.kind == 'time' else 'coordinate'}"
-        if not usable.all():
-            first_wrong = int(np.argmin(usable))
-            problem = (
-                f"record {record[first_wrong]}: found {rule.dimension} {stored[first_wrong]}, "
-                f"expected {expected} for every point"
-            )
-            raise InputError(
-                self.path, problem, "leave such points out, or match by something else with --match"
-            )
-        return key + rule.offset if rule.offset else key
-
-    def _same(self, values: dict[str, NDArray[Any]], record: I64) -> I64:
-        packed = np.zeros(len(record), np.int64)
-        for name in self.rule.same:
-            stored = values[name]
-            with np.errstate(invalid="ignore"):
-                wrong = ~((stored >= 0) & (stored < _LIMIT_16) & (np.floor(stored) == stored))
-            if wrong.any():
-                first_wrong = int(np.argmax(wrong))
-                problem = (
-                    f"record {record[first_wrong]}: found {name} {stored[first_wrong]}, "
-                    "expected a whole number from 0 to 65535"
-                )
-                hint = "--ignore-return" if name == "return_number" else f"leave out --same {name}"
-                raise InputError(self.path, problem, hint)
-            packed = (packed << 16) | stored.astype(np.int64)
-        return packed
-
-
-@dataclass(frozen=True)
-class CodesAlone:
-    """Labels without records as a source: their number and order is all that is known."""
-
-    codes: CodeSource
-    format: str = "labels"
-    dimensions: tuple[str, ...] = ()
-    facts: SourceFacts = field(default_factory=SourceFacts)
-
-    @property
-    def path(self) -> str:
-        """File name, for messages."""
-        return self.codes.path
-
-    @property
-    def n_records(self) -> int | None:
-        """Number of records; None if it is not known before reading."""
-        return self.codes.n
-
-    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Count the codes."""
-        first = 0
-        for codes in self.codes.chunks():
-            yield RecordChunk(first, {}, len(codes))
-            first += len(codes)
+            hint = "--ignore-return" if name == "return_number" else f"leave out --same {name}"
+            raise InputError(path, problem, hint)
+        packed = (packed << 16) | stored.astype(np.int64)
+    return packed
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +188,7 @@ class Survey:
     """Whether the keys never go back."""
 
 
-def survey(source: KeyedSource) -> Survey:
+def survey(source: Source) -> Survey:
     """Read all keys and codes once."""
     n = n_read = 0
     low = np.inf
@@ -234,11 +240,6 @@ _LINE = "scan_line"
 _COLUMN = "column"
 LONGEST_LINE = 1 << 22
 """A cell is one whole number: its line times this, and its column."""
-_CODES = "class codes"
-"""Column of codes that are read from a file of their own.
-
-The blank keeps it apart from dimensions.
-"""
 _MAX_ID = 1 << 31
 
 FARTHEST_M = 1e9
@@ -430,6 +431,10 @@ class Side:
                 raise InputError(file.codes.path, problem, "check the file")
             n_before += n_in_file
 
+    def with_reading(self, reading: Reading) -> Side:
+        """Return the side, which has one way of reading."""
+        return self
+
     def _finite(self, values: Columns, n: int) -> Mask:
         """Return which records have a key, and a place if that is the key."""
         finite = np.ones(n, np.bool_)
@@ -472,7 +477,7 @@ class Side:
         if codes_in_table:
             by_source[0].append(file.codes.name)
         else:
-            streams.append({_CODES: codes} for codes in file.codes.chunks())
+            streams.append({CLASS_CODE: codes} for codes in file.codes.codes())
         for k, source_names in by_source.items():
             chunks = file.sources[k].chunks(tuple(dict.fromkeys(source_names)))
             streams.append(chunk.values for chunk in chunks)
@@ -483,7 +488,7 @@ class Side:
             read = {name: column for part in parts for name, column in part.items()}
             n = len(next(iter(read.values())))
             index = np.arange(row, row + n, dtype=np.int64)
-            codes = read[file.codes.name if codes_in_table else _CODES]
+            codes = read[file.codes.name if codes_in_table else CLASS_CODE]
             values: Columns = {CODE: file.codes.to_codes(codes, row) if codes_in_table else codes}
             for name, place in places.items():
                 stored: NDArray[Any] = index

@@ -20,7 +20,7 @@ from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock, 
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import choose_returns
-from prc_cli.formats.records import RecordChunk, Source
+from prc_cli.formats.records import Reading, RecordChunk, Source
 from prc_cli.formats.sorting import sorted_by_time
 from prc_cli.streams.columns import (
     INTENSITY,
@@ -46,7 +46,7 @@ from prc_cli.streams.lines import (
 )
 from prc_cli.streams.order import (
     OrderWatch,
-    WeekSource,
+    over_weeks,
     times_of_trajectory,
     week_steps,
 )
@@ -77,7 +77,7 @@ def open_grid(
         head, config, geometry=geometry, only_ranges=only_ranges, with_intensity=with_intensity
     )
     if config.order == "trust" and (rules.line_hz is not None or rules.shot_hz is not None):
-        records = WeekSource(records)
+        records = over_weeks(records)
         head = Head(records, head.expected)
     n_records = source.n_records
     m = rules.points_per_line
@@ -120,7 +120,7 @@ def open_grid(
         dimensions=records.dimensions,
     )
     if "intensity" not in (*rules.names, *rules.carried):
-        source.facts.skip_intensity()
+        head = head.with_reading(Reading(spares_intensity=True))
     return GridStream(info, head, rules, setups, default)
 
 

@@ -12,10 +12,11 @@ from itertools import islice
 import numpy as np
 
 from prc_cli.core.errors import InputError
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import F32
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import continues_run, mark_shots
-from prc_cli.formats.records import STANDARD_NAMES, DerivedSource, RecordChunk, Source
+from prc_cli.formats.records import STANDARD_NAMES, Reading, RecordChunk, Source
 from prc_cli.streams.columns import (
     Table,
     check_scanners,
@@ -61,12 +62,42 @@ class _Reading:
 
 
 @dataclass(frozen=True)
-class Head(DerivedSource):
+class Head:
     """A source whose first records are kept, for many readers one after the other."""
 
+    source: Source
     expected: set[str] = field(default_factory=set)
     """Dimensions that are decoded with the first ones asked for: other readers will need them."""
-    _readings: list[_Reading] = field(default_factory=list, init=False)
+    _readings: list[_Reading] = field(default_factory=list)
+
+    @property
+    def path(self) -> str:
+        """File name, for messages."""
+        return self.source.path
+
+    @property
+    def format(self) -> str:
+        """Reader name."""
+        return self.source.format
+
+    @property
+    def n_records(self) -> int | None:
+        """Number of records; None if only reading can tell."""
+        return self.source.n_records
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names that the source can deliver, standard names first."""
+        return self.source.dimensions
+
+    @property
+    def facts(self) -> SourceFacts:
+        """Metadata of the file."""
+        return self.source.facts
+
+    def with_reading(self, reading: Reading) -> Head:
+        """Return the head of a source that is read in this way; the kept records stay."""
+        return replace(self, source=self.source.with_reading(reading))
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode dimensions from the start, or return those that were decoded before."""

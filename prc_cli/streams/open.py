@@ -23,10 +23,10 @@ from prc_cli.formats.input import Input
 from prc_cli.formats.joined import JoinedInput
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.ranges import refuse_scale
+from prc_cli.formats.records import Reading, Source
 from prc_cli.formats.systems import in_metres, refuse_degrees
 
 if TYPE_CHECKING:
-    from prc_cli.formats.records import Source
     from prc_cli.streams.grid import GridStream
     from prc_cli.streams.registered.drive import Drive
     from prc_cli.streams.registered.spinning_drive import SpinningDrive
@@ -40,10 +40,12 @@ def open_input(
     geometry: bool = True,
     only_ranges: bool = False,
     with_intensity: bool = False,
+    checks_layers: bool = False,
 ) -> ScanStream:
     """Open an input, or the files of one drive, as a stream of blocks.
 
     With ``only_ranges`` blocks of records have no times, and intensities only ``with_intensity``.
+    With ``checks_layers`` all layers of LAZ are decoded, so that damage is found.
     """
     source = scan.records()
     layout = scan.layout
@@ -69,8 +71,12 @@ def open_input(
     from prc_cli.streams.grid import open_grid
 
     source = with_clock(source, config.time_unit)
-    if config.points_per_line is not None:
-        source.facts.align_chunks(config.points_per_line * lines_at_once)
+    # the blocks of joined files go on from file to file
+    if config.points_per_line is not None and isinstance(scan, Input):
+        multiple_of = config.points_per_line * lines_at_once
+        source = source.with_reading(Reading(multiple_of=multiple_of))
+    if checks_layers:
+        source = source.with_reading(Reading(checks_layers=True))
     of_points = config.range.partition(":")[0] in ("points", "trajectory", "origin", "sensor-xyz")
     if of_points:
         refuse_degrees(source)
@@ -132,13 +138,7 @@ def drive_of(stream: ScanStream) -> Drive | SpinningDrive | None:
 
     Other inputs give None.
     """
-    layer: object = stream
-    while layer is not None:
-        drive = getattr(layer, "drive", None)
-        if drive is not None:
-            return cast("Drive | SpinningDrive", drive)
-        layer = getattr(layer, "source", None)
-    return None
+    return cast("Drive | SpinningDrive | None", stream.info.facts.drive)
 
 
 @dataclass(slots=True)

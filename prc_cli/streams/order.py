@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import OrderError
 from prc_cli.core.stream import MAX_RINGS, ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F64, I64, Mask
-from prc_cli.formats.records import DerivedSource, RecordChunk, Source
+from prc_cli.formats.records import RecordChunk, Source, filtered
 
 Policy: TypeAlias = Literal["require", "trust", "sort-time"]
 """Policy for records out of order (``input.order``)."""
@@ -468,28 +468,32 @@ def unwrap_week(time_s: F64, state: WeekState) -> tuple[F64, Mask, WeekState]:
     return np.where(added, time_s + WEEK_S, time_s), added, replace(state, last_s=float(seen[-1]))
 
 
-class WeekSource(DerivedSource):
-    """A source with unwrapped GPS times; see :func:`unwrap_week`."""
+def over_weeks(source: Source) -> Source:
+    """Return a source with unwrapped GPS times; see :func:`unwrap_week`.
 
-    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode; chunks from the end of the week on also have :data:`ADDED` and :data:`STEPS`."""
-        state = WeekState()
-        for chunk in self.source.chunks(names):
-            if "time" not in names:
-                yield chunk
-                continue
-            had_ended = state.end_s is not None
-            time_s, added, state = unwrap_week(np.asarray(chunk.values["time"], np.float64), state)
-            if state.end_s is None:
-                yield chunk
-                continue
-            values = {
-                **chunk.values,
-                "time": time_s,
-                ADDED: added,
-                STEPS: np.array([0 if had_ended else 1]),
-            }
-            yield replace(chunk, values=values)
+    Chunks from the end of the week on also have :data:`ADDED` and :data:`STEPS`.
+    """
+    return filtered(source, _over_weeks)
+
+
+def _over_weeks(names: tuple[str, ...], source: Source) -> Iterator[RecordChunk]:
+    state = WeekState()
+    for chunk in source.chunks(names):
+        if "time" not in names:
+            yield chunk
+            continue
+        had_ended = state.end_s is not None
+        time_s, added, state = unwrap_week(np.asarray(chunk.values["time"], np.float64), state)
+        if state.end_s is None:
+            yield chunk
+            continue
+        values = {
+            **chunk.values,
+            "time": time_s,
+            ADDED: added,
+            STEPS: np.array([0 if had_ended else 1]),
+        }
+        yield replace(chunk, values=values)
 
 
 def times_of_trajectory(chunk: RecordChunk, first_s: float) -> F64:

@@ -29,9 +29,9 @@ from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig, parse_rate
 from prc_cli.formats.records import (
     STANDARD_NAMES,
-    DerivedSource,
     RecordChunk,
     Source,
+    filtered,
     nearest_first,
 )
 from prc_cli.formats.sorting import sorted_by_time
@@ -598,59 +598,53 @@ def with_elevation(
         raise ConfigError("input.lines", problem, "find lines in another way: --lines")
     rules = config.model_copy(update={"lines": f"dimension:{_LINE}", "range": "sensor-xyz"})
     why = "lines end where the elevation of x, y, z jumps back; the scan angle is the elevation"
-    return (
-        _WithElevation(source, math.radians(drop_deg)),
-        rules,
-        (Assumption("input.lines", config.lines, why),),
+    drop_rad = math.radians(drop_deg)
+
+    def chunks(names: tuple[str, ...], stored: Source) -> Iterator[RecordChunk]:
+        return _elevations(names, stored, drop_rad)
+
+    elevated = filtered(
+        source,
+        chunks,
+        dimensions=(*dict.fromkeys(("angle", *source.dimensions)), _LINE),
+        facts_of=_of_other_lines,
     )
+    return elevated, rules, (Assumption("input.lines", config.lines, why),)
 
 
-@dataclass(frozen=True)
-class _WithElevation(DerivedSource):
-    drop_rad: float
+def _of_other_lines(facts: SourceFacts) -> SourceFacts:
+    """Return the metadata without notices, and without M, which is that of other lines."""
+    rules = (KnownRule("nadir", "-90", "angles are elevations"), *facts.rules)
+    return replace(facts, points_per_line=None, notes=(), rules=rules)
 
-    @property
-    def dimensions(self) -> tuple[str, ...]:
-        """Names of the source, ``angle`` and the line."""
-        return (*dict.fromkeys(("angle", *self.source.dimensions)), _LINE)
 
-    @property
-    def facts(self) -> SourceFacts:
-        """Metadata of the source without notices, and without M, which is that of other lines."""
-        facts = self.source.facts
-        rules = (KnownRule("nadir", "-90", "angles are elevations"), *facts.rules)
-        return replace(facts, points_per_line=None, notes=(), rules=rules)
+def _elevations(names: tuple[str, ...], source: Source, drop_rad: float) -> Iterator[RecordChunk]:
+    """Decode dimensions with ``angle`` and line number.
 
-    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode the named dimensions.
-
-        A point at the origin has no elevation and stays in the current line.
-        """
-        if not {"angle", _LINE} & set(names):
-            yield from self.source.chunks(names)
-            return
-        stored = tuple(name for name in names if name not in ("angle", _LINE))
-        line = 0
-        last = np.nan
-        for chunk in self.source.chunks(tuple(dict.fromkeys((*stored, *XYZ)))):
-            x, y, z = (np.asarray(chunk.values[name], np.float64) for name in XYZ)
-            with np.errstate(over="ignore", invalid="ignore"):
-                flat = np.hypot(x, y)
-                angle = np.where((flat > 0) | (z != 0), np.arctan2(z, flat), np.nan)
-            known = np.flatnonzero(~np.isnan(angle))
-            begins = np.zeros(chunk.n, np.int64)
-            if len(known):
-                seen = angle[known]
-                back = np.append(last, seen[:-1]) - seen
-                begins[known] = back > self.drop_rad if self.drop_rad > 0 else back < self.drop_rad
-                last = seen[-1]
-            number = line + np.cumsum(begins)
-            line = int(number[-1]) if chunk.n else line
-            values = {name: chunk.values[name] for name in stored}
-            made = {"angle": angle, _LINE: number}
-            yield replace(
-                chunk, values={name: made[name] if name in made else values[name] for name in names}
-            )
+    A point at the origin has no elevation and stays in the current line.
+    """
+    if not {"angle", _LINE} & set(names):
+        yield from source.chunks(names)
+        return
+    stored = tuple(name for name in names if name not in ("angle", _LINE))
+    line = 0
+    last = np.nan
+    for chunk in source.chunks(tuple(dict.fromkeys((*stored, *XYZ)))):
+        x, y, z = (np.asarray(chunk.values[name], np.float64) for name in XYZ)
+        with np.errstate(over="ignore", invalid="ignore"):
+            flat = np.hypot(x, y)
+            angle = np.where((flat > 0) | (z != 0), np.arctan2(z, flat), np.nan)
+        known = np.flatnonzero(~np.isnan(angle))
+        begins = np.zeros(chunk.n, np.int64)
+        if len(known):
+            seen = angle[known]
+            back = np.append(last, seen[:-1]) - seen
+            begins[known] = back > drop_rad if drop_rad > 0 else back < drop_rad
+            last = seen[-1]
+        number = line + np.cumsum(begins)
+        line = int(number[-1]) if chunk.n else line
+        columns = {**chunk.values, "angle": angle, _LINE: number}
+        yield replace(chunk, values={name: columns[name] for name in names})
 
 
 MAX_SHOTS = 1 << 22

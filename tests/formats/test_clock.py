@@ -12,7 +12,7 @@ import pytest
 
 from prc_cli.core.facts import SourceFacts
 from prc_cli.formats.clock import PERIODS_S, Unwrapped, unit_of, with_clock
-from prc_cli.formats.records import RecordChunk
+from prc_cli.formats.records import Reading, RecordChunk
 from prc_cli.streams.trajectory import load_trajectory
 
 
@@ -29,6 +29,9 @@ class Times:
     @property
     def n_records(self) -> int:
         return len(self.time)
+
+    def with_reading(self, reading: Reading) -> Times:
+        return self
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         for first in range(0, len(self.time), 1000):

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.facts import SourceFacts
-from prc_cli.formats.records import RecordChunk
+from prc_cli.formats.records import Reading, RecordChunk
 from prc_cli.formats.sorting import sorted_by_time
 
 
@@ -37,6 +37,9 @@ class ArraySource:
     @property
     def dimensions(self) -> tuple[str, ...]:
         return tuple(self.values)
+
+    def with_reading(self, reading: Reading) -> ArraySource:
+        return self
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         self.asked.append(names)

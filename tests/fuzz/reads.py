@@ -46,7 +46,7 @@ def blocks(path: Path, layout: Layout | None = None, **options: object) -> None:
 
 def _codes(path: Path) -> None:
     """Read a file as labels and as a table."""
-    for codes in open_codes(path).chunks():
+    for codes in open_codes(path).codes():
         del codes
     if (table := open_table(path)) is not None:
         for chunk in table.chunks(table.dimensions):

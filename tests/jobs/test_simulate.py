@@ -96,7 +96,7 @@ def test_further_returns_have_their_classes_at_their_records(tmp_path: Path, suf
     order = np.lexsort((after.extra.range_m, after.extra.column, after.extra.line))
     assert same(codes[after.extra.record[order]], lookup[further])
     if suffix != ".e57":
-        assert same(np.concatenate(list(open_codes(out).chunks())), codes)
+        assert same(np.concatenate(list(open_codes(out).codes())), codes)
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError, PrcError
 from prc_cli.jobs.transfer import TransferSummary, sides, transfer
 from prc_cli.jobs.transfer.options import TransferOptions
+from prc_cli.matching.keys import KeyRule
 from prc_cli.matching.sides import Survey
 from tests.formats.las.lasbytes import parse
 
@@ -374,7 +375,13 @@ def test_times_overlap_where_they_touch_within_the_tolerance(
     labels = Survey(9, 9, -1.0, 2.0, True)
     points = Survey(9, 9, *times, True)
     named = SimpleNamespace(path="drive.las")
-    made = sides.TransferSides(named, named, (labels, points), 1.0, assumptions=[])  # type: ignore[arg-type]
+    made = sides.TransferSides(
+        named,  # type: ignore[arg-type]
+        named,  # type: ignore[arg-type]
+        KeyRule("time"),
+        (labels, points),
+        1.0,
+    )
     if overlaps:
         sides._refuse_apart(made, TransferOptions())
     else:

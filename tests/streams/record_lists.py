@@ -13,7 +13,7 @@ from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream
 from prc_cli.core.types import F32, I64
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.records import RecordChunk
+from prc_cli.formats.records import Reading, RecordChunk
 from prc_cli.streams.grid import open_grid
 
 N_LINES = 23
@@ -42,6 +42,9 @@ class MemorySource:
     @property
     def dimensions(self) -> tuple[str, ...]:
         return tuple(self.values)
+
+    def with_reading(self, reading: Reading) -> MemorySource:
+        return self
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         self.reads.append(names)

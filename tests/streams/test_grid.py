@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError, OrderError
-from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import ReadTally
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.records import RecordChunk
+from prc_cli.formats.records import Reading, RecordChunk
 from prc_cli.streams import grid, lines
 from prc_cli.streams.grid import open_grid
 from tests.streams.record_lists import (
@@ -109,12 +108,11 @@ def test_what_goes_along_stands_in_the_right_cells() -> None:
 class _SkippingSource(MemorySource):
     """Intensities of shots with one return are made up once they may be."""
 
-    def __post_init__(self) -> None:
-        self.facts = SourceFacts(skip_intensity=self._skip_intensity)
-
-    def _skip_intensity(self) -> None:
+    def with_reading(self, reading: Reading) -> MemorySource:
+        assert reading == Reading(spares_intensity=True)
         single = self.values["number_of_returns"] <= 1
-        self.values = {**self.values, "intensity": np.where(single, -7.0, self.values["intensity"])}
+        intensity = np.where(single, -7.0, self.values["intensity"])
+        return MemorySource({**self.values, "intensity": intensity}, self.chunk_records)
 
 
 @pytest.mark.parametrize("rule", ["strongest", "first"])

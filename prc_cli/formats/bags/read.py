@@ -123,7 +123,7 @@ class BagStream:
                 scanners=tuple(self._numbers) if len(self._numbers) > 1 else (),
                 notes=tuple(notes),
                 repeated=self._repeated,
-                describe=self._describe,
+                header=self._header(),
             ),
         )
 
@@ -131,7 +131,7 @@ class BagStream:
         refused = RULED_OUT - {"origin"} if self._has_clouds else RULED_OUT
         return refused if self._takes_scale else refused | {"range_scale"}
 
-    def _describe(self) -> dict[str, str]:
+    def _header(self) -> dict[str, str]:
         bag = self.bag
         topics = {
             f"topic {topic.name}": f"{topic.kind}, {n or 'no'} messages"

@@ -168,7 +168,7 @@ class CloudSource(FieldSource):
             else head.points_per_line,
             rules=tuple(rules),
             notes=tuple(notes),
-            describe=lambda: dict(head.described),
+            header=dict(head.described),
         )
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator
 from contextlib import closing
+from copy import copy
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ from prc_cli.formats.las.splice import LazContexts, contexts_of
 from prc_cli.formats.las.vlrs import find_crs
 from prc_cli.formats.names import angle_rules
 from prc_cli.formats.options import Layout
-from prc_cli.formats.records import RecordChunk, nearest_first, standard_first
+from prc_cli.formats.records import Reading, RecordChunk, nearest_first, standard_first
 
 CHUNK_RECORDS = 1 << 16
 """Records decoded at a time."""
@@ -60,8 +61,7 @@ class LasSource:
             LazContexts() if self.header.compressed and self.header.point_format >= 6 else None
         )
         """Kept from the records that :meth:`chunks` decodes, for rewriting the file."""
-        self._spares_intensity = False
-        self._checks_layers = False
+        self._reading = Reading()
         self._n_unread_chunks = 0
         if self.header.compressed:
             with open_bytes(path) as source:
@@ -145,9 +145,7 @@ class LasSource:
             unread=self._unread,
             dropped=find_dropped(self.header),
             laz_contexts=self.laz_contexts,
-            describe=self.describe,
-            skip_intensity=self.skip_intensity,
-            check_layers=self.check_layers,
+            header=self._header_values(),
         )
 
     @property
@@ -160,13 +158,14 @@ class LasSource:
             return f"{n} LAZ chunks of records {follows}"
         return ""
 
-    def skip_intensity(self) -> None:
-        """Decode ``intensity`` only for shots of several returns: it takes a fifth of the time."""
-        self._spares_intensity = True
+    def with_reading(self, reading: Reading) -> LasSource:
+        """Return the source that spares intensities, or decodes every compressed layer.
 
-    def check_layers(self) -> None:
-        """Decode every compressed layer in the same pass, also layers of other dimensions."""
-        self._checks_layers = self.laz_contexts is not None
+        Intensities take a fifth of the time: shots of one return are then left undefined.
+        """
+        source = copy(self)
+        source._reading = self._reading.also(reading)
+        return source
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode dimensions from the start, in the order of the file.
@@ -195,11 +194,12 @@ class LasSource:
     def _decoded(self, names: tuple[str, ...]) -> Generator[RecordChunk]:
         """Decode batch by batch; every dimension is copied out of its batch."""
         fields = self._layout.fields
+        contexts = self.laz_contexts
         for first, raw in self._batches(names):
-            if self.laz_contexts is not None and first == self.laz_contexts.n_seen:
-                self.laz_contexts.see(first, contexts_of(raw))
-            if self.laz_contexts is not None and self._checks_layers:
-                self.laz_contexts.check(first, len(raw))
+            if contexts is not None and first == contexts.n_seen:
+                contexts.see(first, contexts_of(raw))
+            if contexts is not None and self._reading.checks_layers:
+                contexts.check(first, len(raw))
             records = raw.view(self._layout.dtype)[:, 0]
             yield RecordChunk(
                 first, {name: fields[name].decode(records) for name in names}, len(records)
@@ -209,10 +209,10 @@ class LasSource:
         asked = [self._layout.fields[name] for name in names]
         layers = layers_of(asked)
         layers_of_several = None
-        if self._spares_intensity and "intensity" in names:
+        if self._reading.spares_intensity and "intensity" in names:
             layers_of_several = layers
             layers = layers_of(field for field in asked if field.layer != "intensity")
-        if self._checks_layers:
+        if self._reading.checks_layers and self.laz_contexts is not None:
             layers = lazrs.SELECTIVE_DECOMPRESS_ALL
             layers_of_several = None
         with open_bytes(self._path) as source:
@@ -220,8 +220,7 @@ class LasSource:
                 source, self.header, self._chunk_records, layers, layers_of_several, reuse=True
             )
 
-    def describe(self) -> dict[str, Any]:
-        """Return the header as plain values for JSON, for ``prc info``."""
+    def _header_values(self) -> dict[str, Any]:
         header = self.header
         extra_bytes = [
             {

@@ -200,7 +200,7 @@ class PacketStream:
                 scanners=tuple(self._scanners) if len(self._scanners) > 1 else (),
                 notes=(*self._notes(), *self._lost),
                 repeated=self._repeated,
-                describe=self._describe,
+                header=self._header(),
             ),
         )
 
@@ -216,7 +216,7 @@ class PacketStream:
             notes.append(f"{count.n_fragments_lost:,} datagrams lack a fragment: left out")
         return notes
 
-    def _describe(self) -> dict[str, str]:
+    def _header(self) -> dict[str, str]:
         scanners = {
             f"scanner {scanner.number}": f"{key}, {scanner.name}, {scanner.n:,} packets "
             f"from {scanner.start_s:.3f} s to {scanner.end_s:.3f} s"

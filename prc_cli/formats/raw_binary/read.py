@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from copy import copy
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import open_to_read
 from prc_cli.formats.binary import BinaryBody
 from prc_cli.formats.options import RANGES_ONLY, Layout, record_dtype
-from prc_cli.formats.records import Column, FieldSource, Source
+from prc_cli.formats.records import Column, FieldSource, Reading, Source
 
 FORMAT = "raw binary"
 """Reader name, for messages and ``prc info``."""
@@ -31,27 +32,23 @@ class RawBinarySource(FieldSource):
         n_records = _count(path, layout.header_bytes, dtype.itemsize)
         body = BinaryBody(path, dtype, layout.header_bytes, n_records, chunk_records)
         super().__init__(path, FORMAT, layout_columns(layout), body)
-        self.facts = SourceFacts(
-            line_hz=layout.line_frequency,
-            describe=self.describe,
-            align_chunks=self.align_chunks,
-        )
-
-    def align_chunks(self, n_records: int) -> None:
-        """Decode a multiple of ``n_records`` at a time: chunks end with a block of lines."""
-        n_at_once = self.body.n_at_once
-        self.body.chunk_records = max(1, n_at_once // n_records) * min(n_records, n_at_once)
-
-    def describe(self) -> dict[str, Any]:
-        """Return the layout as plain values for JSON, for ``prc info``."""
-        return {
-            "header_bytes": self.body.start,
-            "record_bytes": self.body.dtype.itemsize,
-            "records": self.n_records,
-            "fields": {
-                column.key: self.body.dtype[column.key].str for column in self.columns.values()
-            },
+        header = {
+            "header_bytes": layout.header_bytes,
+            "record_bytes": dtype.itemsize,
+            "records": n_records,
+            "fields": {column.key: dtype[column.key].str for column in self.columns.values()},
         }
+        self.facts = SourceFacts(line_hz=layout.line_frequency, header=header)
+
+    def with_reading(self, reading: Reading) -> RawBinarySource:
+        """Return the source whose chunks end with a block of lines (``multiple_of``)."""
+        n_at_once = self.body.n_at_once
+        n_blocks = max(1, n_at_once // reading.multiple_of)
+        source = copy(self)
+        source.body = replace(
+            self.body, chunk_records=n_blocks * min(reading.multiple_of, n_at_once)
+        )
+        return source
 
 
 def _count(path: Path, header: int, record_bytes: int) -> int:

@@ -16,7 +16,7 @@ from prc_cli.core.process import bounded
 from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.names import usual_names
 from prc_cli.formats.options import Layout, LayoutField, decode
-from prc_cli.formats.records import RecordChunk, Source, nearest_first
+from prc_cli.formats.records import Reading, RecordChunk, Source, nearest_first
 from prc_cli.formats.registry import by_suffix
 
 if TYPE_CHECKING:
@@ -119,6 +119,10 @@ class ArrayTable:
             for rows in readers:
                 rows.finish()
 
+    def with_reading(self, reading: Reading) -> ArrayTable:
+        """Return the source, which has one way of reading."""
+        return self
+
 
 class ParquetTable:
     """Reader of the numeric columns of a Parquet file as records."""
@@ -174,6 +178,10 @@ class ParquetTable:
                 first += batch.num_rows
         except (pa.ArrowException, OSError, ValueError) as error:
             raise _damaged(self._path, error, self.format) from error
+
+    def with_reading(self, reading: Reading) -> ParquetTable:
+        """Return the source, which has one way of reading."""
+        return self
 
     def _measure(self) -> tuple[pa.Schema, int]:
         from pyarrow import parquet

@@ -10,7 +10,6 @@ import re
 from array import array
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -342,8 +341,14 @@ class TextSource(FieldSource):
         if {"ring", *AXES} <= set(columns) and not has_lines:
             rules += ring_rules()
         range_name = columns["range"].name if "range" in columns else "range"
+        header = {
+            "delimiter": self.text.delimiter,
+            "decimal": self.text.decimal,
+            "header_line": self.text.header_line,
+            "columns": list(self.text.names),
+        }
         self.facts = SourceFacts(
-            notes=self.notes, range_name=range_name, rules=rules, describe=self.describe
+            notes=self.notes, range_name=range_name, rules=rules, header=header
         )
 
     @property
@@ -383,16 +388,6 @@ class TextSource(FieldSource):
             and text.n_columns == 1,
         }
         return tuple(note for note, holds in holds_by_note.items() if holds)
-
-    def describe(self) -> dict[str, Any]:
-        """Return the dialect as plain values for JSON, for ``prc info``."""
-        text = self.text
-        return {
-            "delimiter": text.delimiter,
-            "decimal": text.decimal,
-            "header_line": text.header_line,
-            "columns": list(text.names),
-        }
 
 
 def open_uos(path: Path, layout: Layout | None) -> TextSource:

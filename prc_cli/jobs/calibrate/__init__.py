@@ -316,7 +316,7 @@ def _spool(
     Return it as a memory-mapped array.
     """
     n = n_scored = 0
-    for chunk in codes.chunks():
+    for chunk in codes.codes():
         rows = mapping.class_indices(chunk, "reference").astype("<i2")
         n += len(rows)
         n_scored += int(np.count_nonzero(rows >= 0))

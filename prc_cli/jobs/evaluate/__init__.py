@@ -239,7 +239,7 @@ def evaluate_all(
             codes = (
                 codes
                 for file in side.files
-                for codes in open_codes(Path(file.codes.path), file.name).chunks()
+                for codes in open_codes(Path(file.codes.path), file.name).codes()
             )
             raise UnlistedError.of(error.mapping, error.side, codes) from error
         names += [file.codes.path for file in left.files]
@@ -568,7 +568,7 @@ def _hint_for_registered(left: Side, right: Side) -> str:
 
 def _length_of(side: Side) -> int | None:
     # by the headers of all files; None if a header does not say
-    lengths = [file.codes.n for file in side.files]
+    lengths = [file.codes.n_records for file in side.files]
     return None if None in lengths else sum(length or 0 for length in lengths)
 
 

@@ -224,7 +224,7 @@ def _listing(mapping: ClassMapping, reference: Path, dimension: str | None) -> s
     Empty if no preset does, or several with different codes do.
     """
     try:
-        codes = np.unique(next(iter(open_codes(reference, dimension).chunks()), ()))
+        codes = np.unique(next(iter(open_codes(reference, dimension).codes()), ()))
     except (PrcError, OSError):  # the comparison reports it
         return ""
     if not mapping.is_unlisted(codes, "reference").any():

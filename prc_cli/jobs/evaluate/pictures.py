@@ -159,7 +159,7 @@ class _Cells:
                 and not record_path(Path(file.codes.path)).is_file()
             )
             cell = np.arange(len(codes)) if is_dense or is_assumed else None
-            return cls(codes, cell, file.codes.n, is_assumed=not is_dense)
+            return cls(codes, cell, file.codes.n_records, is_assumed=not is_dense)
         codes_read: list[I64] = []
         cells_read: list[I64] = []
         first: int | None = None
@@ -176,7 +176,7 @@ class _Cells:
         empty = [np.empty(0, np.int64)]
         codes = np.concatenate(codes_read or empty)
         cell = np.concatenate(cells_read or empty)
-        return cls(codes, cell, file.codes.n, first or 0)
+        return cls(codes, cell, file.codes.n_records, first or 0)
 
     def stop_line(self, points_per_line: int) -> int:
         """Return the number of the last line + 1, without an incomplete line of dense codes."""
@@ -223,7 +223,7 @@ def _first_codes(file: SideFile, most: int) -> I64:
     parts: list[I64] = []
     n = 0
     if most:
-        for chunk in open_codes(Path(file.codes.path), file.name).chunks():
+        for chunk in open_codes(Path(file.codes.path), file.name).codes():
             parts.append(chunk[: most - n])
             n += len(parts[-1])
             if n == most:

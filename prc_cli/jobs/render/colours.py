@@ -227,7 +227,7 @@ class Vocabulary:
         n = 0
         target = folder / f"{side}.classes"
         with target.open("wb") as handle:
-            for codes in open_codes(path, dimension).chunks():
+            for codes in open_codes(path, dimension).codes():
                 turned = self.turn_las(codes) if side == "las" else self.turn(codes, side)
                 turned.tofile(handle)
                 n += len(turned)

@@ -230,7 +230,7 @@ def _labels_of_input(scan: Input) -> Path | str | None:
     """Return the source of the classes: None = the records, a bag's clouds, or the classifier."""
     if scan.is_bag:
         with contextlib.suppress(InputError):
-            next(open_codes(scan.path).chunks())
+            next(open_codes(scan.path).codes())
             return scan.path
         return CLASSIFY
     records = scan.records()
@@ -238,7 +238,7 @@ def _labels_of_input(scan: Input) -> Path | str | None:
         return None if any(name.lower() in NAMES for name in records.dimensions) else CLASSIFY
     columns = format_of(scan.path, "codes")
     with contextlib.suppress(ConfigError, InputError):
-        if columns is not None and open_codes(scan.path, "class").n:
+        if columns is not None and open_codes(scan.path, "class").n_records:
             return None
     return CLASSIFY
 
@@ -568,10 +568,10 @@ class _ThinRun:
             )
             raise ConfigError("--min-confidence", f"{path}: {refusal.problem}", hint) from refusal
         # before it reads a long file
-        if None not in (codes.n, info.n_records) and codes.n != info.n_records:
-            raise self._other_labels(path, codes.n, info.n_records)
+        if None not in (codes.n_records, info.n_records) and codes.n_records != info.n_records:
+            raise self._other_labels(path, codes.n_records, info.n_records)
         values = stack.enter_context(DiskColumn(self.output, "<i4", NO_CODE))
-        for chunk in codes.chunks():
+        for chunk in codes.codes():
             values.append(np.where(np.abs(chunk) < 2**31, chunk, NO_CODE).astype(np.int32))
         return values
 

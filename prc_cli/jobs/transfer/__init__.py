@@ -26,6 +26,7 @@ from prc_cli.formats.input import Input
 from prc_cli.formats.las.rewrite import LasRecoder
 from prc_cli.formats.las.vlrs import names_of_file
 from prc_cli.formats.options import Layout
+from prc_cli.formats.records import Source
 from prc_cli.formats.writing.disk import scratch_file
 from prc_cli.formats.writing.record import Fingerprint, RunRecord, fingerprint, record_path
 from prc_cli.jobs.progress import report_share
@@ -35,7 +36,7 @@ from prc_cli.matching.join import CODE, KEY, RECORD, SAME, Joined, JoinTally, co
 from prc_cli.matching.keys import AXES, SPARE_LABELS, NearestLabel
 from prc_cli.matching.nearest import Cloud, fit_of, nearest_join
 from prc_cli.matching.shift import shift_of, shift_text
-from prc_cli.matching.sides import CONFIDENCE, KeyedSource
+from prc_cli.matching.sides import CONFIDENCE
 
 CHANCE = 0.25
 """Half of random times lie within this share of the label step from the nearest label."""
@@ -111,7 +112,7 @@ def refuse_poor_match(
     near = tally.near()
     if counts.n_other_return > unmatched / 2:
         hint = f"{counts.n_other_return:,} points have a label of their time but another "
-        if "return_number" in sides.labels.rule.same:
+        if "return_number" in sides.rule.same:
             hint += "return number: --ignore-return"
         else:
             hint += "value of --same"
@@ -366,7 +367,7 @@ def _partners(
         yield Joined(nearest.left, nearest.right, points_at, nearest.partner_index[points_at])
 
 
-def _cloud(side: KeyedSource, carried: tuple[str, ...], stack: ExitStack) -> Cloud:
+def _cloud(side: Source, carried: tuple[str, ...], stack: ExitStack) -> Cloud:
     columns = columns_of(side, (*AXES, CODE, *carried), sort=False)
     return Cloud(columns, stack.enter_context(scratch_file("matching")))
 

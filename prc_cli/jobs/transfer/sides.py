@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +17,13 @@ from prc_cli.formats.labels import open_codes
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.las.vlrs import same_crs
 from prc_cli.formats.options import Layout
-from prc_cli.formats.records import Source, nearest_first
+from prc_cli.formats.records import CLASS_CODE, CodeSource, Source, nearest_first
 from prc_cli.formats.registry import by_suffix, format_of
 from prc_cli.jobs.coordinates import placed_source
 from prc_cli.jobs.transfer.options import TransferOptions
 from prc_cli.matching.keys import AXES, KeyRule
-from prc_cli.matching.sides import CONFIDENCE, CodesAlone, KeyedSource, Survey, survey
-from prc_cli.streams.order import WEEK_S, WeekSource
+from prc_cli.matching.sides import CONFIDENCE, Survey, classified, survey, with_codes, with_key
+from prc_cli.streams.order import WEEK_S, over_weeks
 
 GPS_EPOCH_SHIFT_S = 1e9
 """Adjusted standard GPS time is GPS time less this [s] (LAS 1.4, global encoding bit 0)."""
@@ -35,8 +35,11 @@ _ROUNDING_STEPS = 2.0
 class TransferSides:
     """The two inputs, and the assumptions about them."""
 
-    labels: KeyedSource
-    points: KeyedSource
+    labels: Source
+    points: Source
+    """With keys and classes; see :func:`prc_cli.matching.sides.with_key`."""
+    rule: KeyRule
+    """The key of the labels."""
     surveys: tuple[Survey, Survey]
     """Of the labels and the points."""
     tolerance: float
@@ -106,15 +109,19 @@ def open_sides(
     rules = _rules(options, _same(origin, target, options, assumptions))
     for source, rule in zip((origin, target), rules, strict=True):
         _demand_key(source, rule)
-    left = _keyed_labels(labels, origin, rules[0], options)
-    right = KeyedSource(target, rules[1])
+    classes, dimension = _classes(labels, origin, options)
+    rule = rules[0]
+    left = with_key(classes, rule, dimension)
+    right = with_key(target, rules[1])
     surveys = survey(left), survey(right)
     if options.match == "record":
-        left, labels_survey = _equal_order(left, right, *surveys, assumptions)
-        surveys = labels_survey, surveys[1]
-    sides = TransferSides(left, right, surveys, 0.0, assumptions=assumptions)
-    for side, its_survey in zip((left, right), surveys, strict=True):
-        _refuse_useless(side, its_survey, options)
+        rule = _equal_order(left, right, rule, surveys, assumptions)
+        if rule != rules[0]:
+            left = with_key(classes, rule, dimension)
+            surveys = survey(left), surveys[1]
+    sides = TransferSides(left, right, rule, surveys, 0.0, assumptions=assumptions)
+    for side, its_rule, its_survey in zip((left, right), (rule, rules[1]), surveys, strict=True):
+        _refuse_useless(side, its_rule, its_survey, options)
     if options.match == "time":
         _set_time_tolerance(sides, options)
     _refuse_apart(sides, options)
@@ -169,7 +176,7 @@ def _open_labelled(
         return source
     if options.match == "record" or options.match.startswith("record:"):
         # the key is the order, which the label file has
-        return CodesAlone(open_codes(labels, options.dimension))
+        return open_codes(labels, options.dimension)
     form = format_of(labels)
     if form is not None and form.records:
         table = Input.of(labels, layout).records()
@@ -179,14 +186,10 @@ def _open_labelled(
     raise InputError(str(labels), problem, "name the input of the labels: --points RAW")
 
 
-def _keyed_labels(
-    labels: Path,
-    origin: Source,
-    rule: KeyRule,
-    options: TransferOptions,
-) -> KeyedSource:
+def _classes(labels: Path, origin: Source, options: TransferOptions) -> tuple[Source, str]:
+    """Return the records with a class, and the dimension that holds it."""
     # seconds of week may wrap within a drive, but the times of the points do not
-    source = WeekSource(origin) if abs(options.time_offset_s) > WEEK_S / 2 else origin
+    source = over_weeks(origin) if abs(options.time_offset_s) > WEEK_S / 2 else origin
     if suffix_of(labels) in LAS_SUFFIXES:
         name = options.dimension or "classification"
         _demand_dimensions(origin, (name, *options.carry))
@@ -195,7 +198,7 @@ def _keyed_labels(
             raise ConfigError(
                 "--min-confidence", problem, "classify again with --set output.confidence=true"
             )
-        return KeyedSource(source, rule, code_dimension=name)
+        return source, name
     if options.min_confidence is not None:
         raise ConfigError(
             "--min-confidence", f"{labels} contains only classes, expected classified LAS or LAZ"
@@ -204,16 +207,18 @@ def _keyed_labels(
         raise ConfigError(
             "--carry", f"{labels} contains only classes, expected classified LAS or LAZ"
         )
-    return KeyedSource(source, rule, open_codes(labels, options.dimension))
+    if isinstance(origin, CodeSource):
+        return classified(source), CLASS_CODE
+    return with_codes(source, open_codes(labels, options.dimension)), CLASS_CODE
 
 
-def _refuse_useless(side: KeyedSource, records: Survey, options: TransferOptions) -> None:
+def _refuse_useless(side: Source, rule: KeyRule, records: Survey, options: TransferOptions) -> None:
     if not records.n_records:
         raise InputError(
             side.path, "no record has a class, expected classes to transfer", "check --dimension"
         )
     if records.n_records > 1 and records.low == records.high:
-        key = "gps_time" if options.match == "time" else side.rule.dimension
+        key = "gps_time" if options.match == "time" else rule.dimension
         problem = (
             f"all {records.n_records:,} values of {key} are {records.low:g}, expected one a shot"
         )
@@ -268,27 +273,28 @@ def _demand_dimensions(source: Source, names: tuple[str, ...]) -> None:
 
 
 def _equal_order(
-    left: KeyedSource,
-    right: KeyedSource,
-    labels: Survey,
-    points: Survey,
+    left: Source,
+    right: Source,
+    rule: KeyRule,
+    surveys: tuple[Survey, Survey],
     assumptions: list[Assumption],
-) -> tuple[KeyedSource, Survey]:
+) -> KeyRule:
+    """Return the rule by which labels and points are in equal order."""
+    labels, points = surveys
     # either all records match by order, or the registered file has only the shots with a return
-    n_all = left.source.n_records or labels.n_read
+    n_all = left.n_records or labels.n_read
     if n_all == points.n_records or labels.n_read == points.n_records:
         assumptions.append(
             Assumption("transfer.match", "record", "record i of the labels is point i")
         )
-        return left, labels
+        return rule
     if labels.n_records == points.n_records:
         why = (
             "the labels without shots that have no return are as many as the points: "
             "the i-th of them is point i"
         )
         assumptions.append(Assumption("transfer.match", "record", why))
-        ranked = replace(left, rule=KeyRule("rank", same=left.rule.same))
-        return ranked, survey(ranked)
+        return KeyRule("rank", same=rule.same)
     problem = (
         f"found {n_all:,} records ({labels.n_records:,} with a class), "
         f"expected {points.n_records:,} as {right.path} has, to match by equal order"

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +16,14 @@ from prc_cli.core.files import file_state
 from prc_cli.core.stream import Assumption
 from prc_cli.core.types import I64, Mask
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.records import DerivedSource, RecordChunk, Source
+from prc_cli.formats.records import RecordChunk, Source, filtered
 from prc_cli.formats.sorting import sorted_by_time
 from prc_cli.streams.ranges import XYZ, open_ranges
 from prc_cli.streams.registered.drive import PASS, Drive, reconstruct
 from prc_cli.streams.registered.spinning_drive import (
     SpinningDrive,
-    SpinningSource,
     reconstruct_spinning,
+    spinning,
 )
 from prc_cli.streams.registered.spinning_rate import NoScan
 from prc_cli.streams.registered.spool import Spool
@@ -44,7 +43,7 @@ MOST_SCANNERS = 8
 
 def with_points(
     source: Source, config: InputConfig
-) -> tuple[Cloud, InputConfig, tuple[Assumption, ...]]:
+) -> tuple[Source, InputConfig, tuple[Assumption, ...]]:
     """Return a cloud as a stream, the rules that read it, and the assumptions.
 
     Parameters
@@ -70,14 +69,37 @@ def with_points(
     drive = _drive_of(source, split)
     if isinstance(drive, SpinningDrive):
         n_usable = sum(len(scan) for scan in drive.scans)
-        cloud = _with_lost(source, SpinningSource(source, drive), n_usable)
+        cloud = _with_lost(source, spinning(source, drive), n_usable)
         return cloud, config.model_copy(update=drive.rules()), drive.assumptions()
     return _as_stream(source, config, drive, drive.assumptions())
 
 
-def _with_lost(source: Source, cloud: RegisteredSource | SpinningSource, n_usable: int) -> Cloud:
+def _with_lost(source: Source, cloud: Source, n_usable: int) -> Source:
+    """Return a cloud as a stream, followed by the records without time or coordinates."""
     lost = lost_records(source, n_usable)
-    return _WithLost(cloud, cloud.drive, lost) if len(lost) else cloud
+    if not len(lost):
+        return cloud
+    defaults = {
+        "scan_line": 0,
+        "column": -1,
+        PASS: 0,
+        "return_number": 1,
+        "number_of_returns": 1,
+    }
+
+    def chunks(names: tuple[str, ...], stored: Source) -> Iterator[RecordChunk]:
+        first = 0
+        for chunk in stored.chunks(names):
+            yield chunk
+            first += chunk.n
+        n = len(lost)
+        values = {
+            name: np.full(n, defaults[name], np.int32) if name in defaults else np.full(n, np.nan)
+            for name in names
+        }
+        yield RecordChunk(first, values, n, lost)
+
+    return filtered(cloud, chunks)
 
 
 def sorts_by_itself(source: Source, config: InputConfig) -> bool:
@@ -97,7 +119,7 @@ def is_tile(source: Source, config: InputConfig) -> bool:
 
 def with_path(
     source: Source, config: InputConfig
-) -> tuple[Cloud, InputConfig, tuple[Assumption, ...]]:
+) -> tuple[Source, InputConfig, tuple[Assumption, ...]]:
     """Return a cloud whose path is given as a stream; see :func:`with_points`."""
     rule = open_ranges(
         config.range, source.dimensions, source.path, config, crs_wkt=source.facts.crs_wkt
@@ -115,7 +137,7 @@ def _as_stream(
     config: InputConfig,
     drive: Drive,
     assumptions: tuple[Assumption, ...],
-) -> tuple[Cloud, InputConfig, tuple[Assumption, ...]]:
+) -> tuple[Source, InputConfig, tuple[Assumption, ...]]:
     rules: dict[str, object] = {
         "lines": "dimension:scan_line",
         "columns": "dimension:column",
@@ -128,7 +150,7 @@ def _as_stream(
         rules["angle_start"] = math.degrees(drive.angle_start_rad)
         rules["angle_step"] = math.degrees(drive.step_rad)
     n_usable = sum(len(scanner.points) for scanner in drive.scanners)
-    cloud = _with_lost(source, RegisteredSource(source, drive), n_usable)
+    cloud = _with_lost(source, registered(source, drive), n_usable)
     return cloud, config.model_copy(update=rules), assumptions
 
 
@@ -204,7 +226,7 @@ def spool_by_time(source: Source, split: str | None) -> dict[int, Spool]:
     names = (*XYZ, "time", *carried)
     if split is not None and split not in carried:
         names = (*names, split)
-    usable = _Usable(source)
+    usable = filtered(source, _usable)
     spools = _spooled(usable, names, split, must_rise=True)
     if spools is None:
         spools = _spooled(sorted_by_time(usable), names, split, must_rise=False)
@@ -227,48 +249,17 @@ def _is_usable(chunk: RecordChunk) -> Mask:
     return usable
 
 
-@dataclass(frozen=True)
-class _WithLost(DerivedSource):
-    """A cloud as a stream, followed by the records without time or coordinates."""
-
-    drive: Drive | SpinningDrive
-    lost: I64
-
-    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Deliver the stream, then the lost records."""
-        first = 0
-        for chunk in self.source.chunks(names):
-            yield chunk
-            first += chunk.n
-        n = len(self.lost)
-        defaults = {
-            "scan_line": 0,
-            "column": -1,
-            PASS: 0,
-            "return_number": 1,
-            "number_of_returns": 1,
-        }
-        values = {
-            name: np.full(n, defaults[name], np.int32) if name in defaults else np.full(n, np.nan)
-            for name in names
-        }
-        yield RecordChunk(first, values, n, self.lost)
-
-
-class _Usable(DerivedSource):
-    """The records that have a time and coordinates."""
-
-    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode the named dimensions."""
-        every = tuple(dict.fromkeys((*names, *XYZ, "time")))
-        for chunk in self.source.chunks(every):
-            usable = _is_usable(chunk)
-            values = {name: chunk.values[name] for name in names}
-            if usable.all():
-                yield replace(chunk, values=values)
-                continue
-            kept = {name: column[usable] for name, column in values.items()}
-            yield RecordChunk(chunk.first_record, kept, int(usable.sum()), chunk.records()[usable])
+def _usable(names: tuple[str, ...], source: Source) -> Iterator[RecordChunk]:
+    """Decode the records that have a time and coordinates."""
+    every = tuple(dict.fromkeys((*names, *XYZ, "time")))
+    for chunk in source.chunks(every):
+        usable = _is_usable(chunk)
+        values = {name: chunk.values[name] for name in names}
+        if usable.all():
+            yield replace(chunk, values=values)
+            continue
+        kept = {name: column[usable] for name, column in values.items()}
+        yield RecordChunk(chunk.first_record, kept, int(usable.sum()), chunk.records()[usable])
 
 
 def _spooled(
@@ -312,57 +303,46 @@ def record_type(names: tuple[str, ...]) -> np.dtype[np.void]:
     return np.dtype(fields)
 
 
-@dataclass(frozen=True)
-class RegisteredSource(DerivedSource):
-    """A cloud in the order in which it was measured; see :func:`with_points`."""
+def registered(source: Source, drive: Drive) -> Source:
+    """Return a cloud in the order in which it was measured; see :func:`with_points`.
 
-    drive: Drive
+    Pass follows pass, each in the order of its times.
+    """
 
-    @property
-    def dimensions(self) -> tuple[str, ...]:
-        """Names that the source can deliver."""
-        carried = [name for name in ("intensity",) if name in self.source.dimensions]
-        angle = () if self.drive.is_even else ("angle",)
-        return (
-            "range",
-            "scan_line",
-            "column",
-            *angle,
-            "time",
-            *XYZ,
-            *carried,
-            "return_number",
-            "number_of_returns",
-            PASS,
-        )
-
-    @property
-    def facts(self) -> SourceFacts:
-        """Metadata of the cloud, the directions of down, and the findings about the path."""
-        facts = self.source.facts
-        return replace(
-            facts,
-            points_per_line=None,
-            rules=tuple(rule for rule in facts.rules if rule.key == "turn"),
-            downs={number: (0.0, scan.cos_tilt) for number, scan in enumerate(self.drive.scans)},
-            has_fitted_lines=True,
-            findings=(*facts.findings, *self.drive.findings),
-        )
-
-    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Deliver the points pass after pass, each in the order of its times."""
+    def chunks(names: tuple[str, ...], _: Source) -> Iterator[RecordChunk]:
         first = 0
-        for scanner in self.drive.scanners:
+        for scanner in drive.scanners:
             for points, cells in scanner.pieces():
                 values = {name: _column(name, points, cells) for name in names}
                 yield RecordChunk(first, values, len(points), points["record"].copy())
                 first += len(points)
 
+    def facts_of(facts: SourceFacts) -> SourceFacts:
+        return replace(
+            facts,
+            points_per_line=None,
+            rules=tuple(rule for rule in facts.rules if rule.key == "turn"),
+            downs={number: (0.0, scan.cos_tilt) for number, scan in enumerate(drive.scans)},
+            has_fitted_lines=True,
+            findings=(*facts.findings, *drive.findings),
+            drive=drive,
+        )
+
+    dimensions = (
+        "range",
+        "scan_line",
+        "column",
+        *(() if drive.is_even else ("angle",)),
+        "time",
+        *XYZ,
+        *(name for name in ("intensity",) if name in source.dimensions),
+        "return_number",
+        "number_of_returns",
+        PASS,
+    )
+    return filtered(source, chunks, dimensions=dimensions, facts_of=facts_of)
+
 
 def _column(name: str, points: NDArray[np.void], cells: NDArray[np.void]) -> NDArray[np.generic]:
     stored = cells if name in (cells.dtype.names or ()) else points
     return np.ascontiguousarray(stored[name])
-
-
-Cloud: TypeAlias = RegisteredSource | SpinningSource | _WithLost
-"""A registered cloud as a stream."""

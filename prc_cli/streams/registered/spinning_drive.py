@@ -13,7 +13,7 @@ from prc_cli.core.facts import SourceFacts
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import Assumption
 from prc_cli.core.types import F64
-from prc_cli.formats.records import DerivedSource, RecordChunk
+from prc_cli.formats.records import RecordChunk, Source, filtered
 from prc_cli.streams.registered.drive import PASS, coordinates, find_passes, sample
 from prc_cli.streams.registered.evidence import CHECK, CellCounts, Judged, PathFigures, judge
 from prc_cli.streams.registered.path import SPEED_CHANGE_M_S2, ScannerPath, positions_at
@@ -387,30 +387,20 @@ def upright(scan: SpinningScan) -> F64:
     return upright_m
 
 
-@dataclass(frozen=True)
-class SpinningSource(DerivedSource):
-    """A cloud in the order of the lines of its spinning scanners."""
+def spinning(source: Source, drive: SpinningDrive) -> Source:
+    """Return a cloud in the order of the lines of its spinning scanners, one after the other."""
 
-    drive: SpinningDrive
-
-    @property
-    def dimensions(self) -> tuple[str, ...]:
-        """Names that the source can deliver."""
-        return tuple(name for name in self.drive.scans[0].dtype.names or () if name != "record")
-
-    @property
-    def facts(self) -> SourceFacts:
-        """Metadata of the cloud, and the findings about the path."""
-        facts: SourceFacts = self.source.facts
-        return replace(
-            facts, points_per_line=None, rules=(), findings=(*facts.findings, *self.drive.findings)
-        )
-
-    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Deliver the points scanner after scanner, each in the order of its lines."""
+    def chunks(names: tuple[str, ...], _: Source) -> Iterator[RecordChunk]:
         first = 0
-        for scan in self.drive.scans:
+        for scan in drive.scans:
             for rows in scan.chunks():
                 values = {name: np.ascontiguousarray(rows[name]) for name in names}
                 yield RecordChunk(first, values, len(rows), rows["record"].copy())
                 first += len(rows)
+
+    def facts_of(facts: SourceFacts) -> SourceFacts:
+        findings = (*facts.findings, *drive.findings)
+        return replace(facts, points_per_line=None, rules=(), findings=findings, drive=drive)
+
+    dimensions = tuple(name for name in drive.scans[0].dtype.names or () if name != "record")
+    return filtered(source, chunks, dimensions=dimensions, facts_of=facts_of)

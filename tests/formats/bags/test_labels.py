@@ -106,7 +106,7 @@ def write(source: Path, output: Path, *, seed: int = 1, **options: Any) -> U8:
 
 
 def read_codes(path: Path, dimension: str | None = None) -> Any:
-    return np.concatenate(list(open_codes(path, dimension).chunks()))
+    return np.concatenate(list(open_codes(path, dimension).codes()))
 
 
 def by_topic(path: Path) -> dict[str, list[tuple[int, bytes]]]:

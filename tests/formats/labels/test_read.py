@@ -25,11 +25,11 @@ CODES = [2, 2, 7, 0, 64, 5]
 def read(path: Path, dimension: str | None = None) -> list[int]:
     source = open_codes(path, dimension)
     assert source.path == str(path)
-    chunks = list(source.chunks())
+    chunks = list(source.codes())
     assert all(chunk.dtype == np.int64 and chunk.ndim == 1 for chunk in chunks)
     codes = np.concatenate(chunks)
-    assert source.n in (None, len(codes))
-    np.testing.assert_array_equal(np.concatenate(list(source.chunks())), codes)
+    assert source.n_records in (None, len(codes))
+    np.testing.assert_array_equal(np.concatenate(list(source.codes())), codes)
     return [int(code) for code in codes]
 
 
@@ -56,7 +56,7 @@ def test_npy(
 ) -> None:
     path = tmp_path / "codes.npy"
     np.save(path, np.asarray(np.array(CODES, dtype).reshape(shape), order=order))
-    assert open_codes(path).n == 6
+    assert open_codes(path).n_records == 6
     assert read(path) == CODES
 
 
@@ -83,7 +83,7 @@ def test_parquet(tmp_path: Path, kind: Any) -> None:
     path = write_parquet(
         tmp_path / "codes.parquet", record=range(6), **{"class": pa.array(CODES, kind)}
     )
-    assert open_codes(path).n == 6
+    assert open_codes(path).n_records == 6
     assert read(path) == CODES
     gaps = write_parquet(tmp_path / "gaps.parquet", mine=pa.array([2, None, 7], kind))
     assert read(gaps) == [2, -1, 7]
@@ -124,10 +124,10 @@ def test_real_labels(real_data: Path) -> None:
 def test_rows_of_a_label_file_must_be_in_record_order(tmp_path: Path) -> None:
     path = tmp_path / "labels.csv"
     path.write_text("record,class,name\n0,2,ground\n1,6,building\n2,7,noise\n")
-    assert np.concatenate(list(open_codes(path).chunks())).tolist() == [2, 6, 7]
+    assert np.concatenate(list(open_codes(path).codes())).tolist() == [2, 6, 7]
     path.write_text("record,class,name\n0,2,ground\n2,7,noise\n1,6,building\n")
     with pytest.raises(InputError, match="row 1 is record 2, expected 1; sort the rows by record"):
-        list(open_codes(path).chunks())
+        list(open_codes(path).codes())
 
 
 SOURCE = Path("drive.bin")

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from prc_cli.core.errors import InputError
 from prc_cli.formats.las.read import LasSource
+from prc_cli.formats.records import Reading
 from prc_cli.streams.order import OrderWatch
 
 VERSION = {
@@ -82,7 +83,7 @@ def test_every_dimension_of_every_point_format(
     )
     las = laspy.read(path)
     source = LasSource(path)
-    assert (source.n_records, source.header.point_format, source.describe()["version"]) == (
+    assert (source.n_records, source.header.point_format, source.facts.header["version"]) == (
         200,
         point_format,
         VERSION[point_format],
@@ -121,9 +122,8 @@ def test_spared_intensity_is_there_wherever_it_may_decide(
         return_number=np.minimum(number, 1),
         number_of_returns=number,
     )
-    source = LasSource(tmp_path / "drive.laz", 33_333)
+    source = LasSource(tmp_path / "drive.laz", 33_333).with_reading(Reading(spares_intensity=True))
     plain = LasSource(tmp_path / "drive.laz", 33_333)
-    source.skip_intensity()
     names = ("time", "number_of_returns", "intensity")
     chunks = list(source.chunks(names))
     values = {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}
@@ -170,7 +170,7 @@ def test_scaled_extra_bytes_and_no_data(tmp_path: Path) -> None:
         "type": "3f4",
         "description": "",
         "scaled": False,
-    } in source.describe()["extra_bytes"]
+    } in source.facts.header["extra_bytes"]
 
 
 @pytest.mark.parametrize(
@@ -443,7 +443,7 @@ def test_any_damage_ends_in_one_line_or_in_records(
     path.write_bytes(raw[: int(len(raw) * (1 if cut > 0.6 else cut))])
     try:
         source = LasSource(path)
-        source.describe()
+        assert source.facts.header
         n_read = sum(chunk.n for chunk in source.chunks(source.dimensions))
         n_promised = source.n_records
     except InputError as error:
