@@ -15,6 +15,7 @@ from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import U8
+from prc_cli.formats.input import Input
 from prc_cli.imaging.pictures import NOT_SCORED_COLOUR
 from prc_cli.jobs.classify import classify, label_blocks, open_stream
 from prc_cli.jobs.render import RenderOptions, render
@@ -80,7 +81,7 @@ def labels_of(source: Path, config: LoadedConfig) -> U8:
 def test_the_whole_drive_shows_every_class_where_it_is(
     drive: Path, urban: LoadedConfig, tmp_path: Path
 ) -> None:
-    drawing = draw_scan(drive, urban, RenderOptions(steps=("range", "classes")), tmp_path)
+    drawing = draw_scan(Input.of(drive), urban, RenderOptions(steps=("range", "classes")), tmp_path)
     (strip,) = drawing.strips
     labels = labels_of(drive, urban)
     colours = np.array([LABEL_COLOURS[label] for label in Label], np.uint8)
@@ -114,7 +115,7 @@ def test_returns_that_are_not_scored_are_not_drawn_as_missing(
         mapping=tmp_path / "m.toml",
         steps=("classes", "reference", "difference"),
     )
-    classes, reference, difference = draw_scan(drive, urban, chosen, tmp_path).strips[0]
+    classes, reference, difference = draw_scan(Input.of(drive), urban, chosen, tmp_path).strips[0]
     assert (classes.picture == LABEL_COLOURS[Label.BUILDING]).all()
     for panel in (reference, difference):
         marked = (panel.picture == NOT_SCORED_COLOUR).all(axis=2)
