@@ -50,15 +50,17 @@ def support_mask(
     ranges = window[shot]
 
     def count_agreeing(shifts: tuple[int, ...], zeta: float) -> NDArray[np.int64]:
-        differences = [np.abs(ranges - window[shot + shift]) for shift in shifts if shift != 0]
-        count: NDArray[np.int64] = np.sum(
-            [d.astype(np.float64) < np.float64(zeta) for d in differences], axis=0
-        )
+        count = np.zeros(len(shot), np.int64)
+        for shift in shifts:
+            if shift != 0:
+                difference = np.abs(ranges - window[shot + shift])
+                count += difference.astype(np.float64) < np.float64(zeta)
         return count
 
     in_slice = count_agreeing((-4, -3, -2, -1, 1, 2, 3, 4), zeta_p)
     adjacent = count_agreeing((-m - 1, -m, -m + 1, m - 1, m, m + 1), zeta_s)
-    mask: Mask = (in_slice >= min_in_slice) & (adjacent >= min_adjacent) & ~np.isnan(ranges)
+    is_supported = (in_slice >= min_in_slice) & (adjacent >= min_adjacent)
+    mask: Mask = is_supported & ~np.isnan(ranges)
     return mask.reshape(n_lines, m)
 
 
@@ -75,15 +77,15 @@ def background_mask(
     """Mark shots where surfaces meet (9); see :func:`support_loops.background_mask`."""
     n_lines, n_columns = supported.shape
     reach = max(n_columns + 1, 4)
+    reading = ("centred", "literal", "abs", "guard")[form]
     mask = np.zeros((n_lines, n_columns), dtype=bool)
-    for line, column in zip(*np.nonzero(supported), strict=True):
+    for line, column in np.argwhere(supported).tolist():
         i = reach + line * n_columns + column
-        before, here, after = (float(window[j]) for j in (i - 1, i, i + 1))
-        if np.isnan(before) or np.isnan(after):
-            continue
-        mask[line, column] = is_intersection(
-            before, here, after, ("centred", "literal", "abs", "guard")[form], alpha, d_c
-        )
+        before = float(window[i - 1])
+        here = float(window[i])
+        after = float(window[i + 1])
+        if not np.isnan(before) and not np.isnan(after):
+            mask[line, column] = is_intersection(before, here, after, reading, alpha, d_c)
     return mask
 
 
@@ -135,10 +137,10 @@ def fill_holes(components: I32, holes: Mask) -> I32:
     """
     framed = np.pad(components, 1)
     filled = components.copy()
-    for line, column in zip(*np.nonzero(holes), strict=True):
-        around = framed[line : line + 3, column : column + 3].ravel().tolist()
-        del around[4]
-        votes = Counter(label for label in around if label != 0)
+    for line, column in np.argwhere(holes).tolist():
+        neighbours = framed[line : line + 3, column : column + 3].ravel().tolist()
+        del neighbours[4]  # the hole itself
+        votes = Counter(label for label in neighbours if label != 0)
         if votes:
             filled[line, column] = min(votes, key=lambda label: (-votes[label], label))
     return filled
@@ -148,9 +150,9 @@ def join_and_fill(supported: Mask, background: Mask) -> tuple[I32, I64]:
     """Connect and fill; see :func:`components_loops.join_and_fill`."""
     joined, n_components = label_components(np.logical_and(supported, ~background))
     filled = fill_holes(joined, background)
-    return filled, np.array(
-        [0, *(np.sum(filled == c) for c in range(1, n_components + 1))], dtype=np.int64
-    )
+    sizes = np.bincount(filled.ravel(), minlength=n_components + 1).astype(np.int64)
+    sizes[0] = 0
+    return filled, sizes
 
 
 def carry_labels(
@@ -161,15 +163,16 @@ def carry_labels(
 ) -> I64:
     """Carry labels over to the next block (II-D.2); see :func:`components_loops.carry_labels`."""
     votes = Counter(zip(first_line.tolist(), last_line.tolist(), strict=True))
-    labels = [0] * (n_components + 1)
-    for c in range(1, n_components + 1):
-        won = [
-            (-count, old)
-            for (new, old), count in votes.items()
-            if new == c and old != 0 and count >= min_votes
+    labels = np.zeros(n_components + 1, np.int64)
+    for component in range(1, n_components + 1):
+        candidates = [
+            (-count, old_label)
+            for (voter, old_label), count in votes.items()
+            if voter == component and old_label != 0 and count >= min_votes
         ]
-        labels[c] = min(won, default=(0, 0))[1]
-    return np.array(labels, dtype=np.int64)
+        if candidates:
+            _, labels[component] = min(candidates)
+    return labels
 
 
 # II-E. Smooth and nonsmooth surfaces

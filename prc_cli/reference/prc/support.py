@@ -11,10 +11,9 @@ def clean_ranges(ranges: F32, low: np.float32, high: np.float32) -> tuple[F32, i
     """Make ranges out of bounds missing; see :func:`support_loops.clean_ranges`."""
     kept = (ranges > low) & (ranges <= high)
     lost = ranges[~kept & ~np.isnan(ranges)]
-    infinite = np.isinf(lost)
+    n_infinite = int(np.count_nonzero(np.isinf(lost)))
     finite = lost[np.isfinite(lost)]
-    n_infinite, n_refused, n_positive = (
-        int(np.count_nonzero(mask)) for mask in (infinite, finite <= 0, finite > 0)
-    )
+    n_refused = int(np.count_nonzero(finite <= 0))
+    n_positive = int(np.count_nonzero(finite > 0))
     cleaned: F32 = np.where(kept, ranges, np.float32(np.nan))
     return cleaned, n_infinite, n_refused, n_positive

@@ -49,11 +49,13 @@ def first_far(
     """Return the first of some shots that is far enough away for a chord."""
     for shot in others[: thresholds.max_shots]:
         chord = points[shot] - points[here]
-        depth = ranges[shot] - ranges[here]
-        counted = float(chord @ chord)
+        length_squared = float(chord @ chord)
         if thresholds.depth_m > 0:
-            counted += max(abs(depth) - thresholds.depth_m, 0.0) ** 2 - depth**2
-        if chord.any() and counted >= thresholds.least_chord_m**2:
+            # a step of the range counts only beyond the depth
+            depth = ranges[shot] - ranges[here]
+            counted_depth = max(abs(depth) - thresholds.depth_m, 0.0)
+            length_squared += counted_depth**2 - depth**2
+        if chord.any() and length_squared >= thresholds.least_chord_m**2:
             return shot
     return None
 
@@ -75,7 +77,8 @@ def line_angles(
 ) -> F32:
     """Measure line angles; see :func:`angles_loops.line_angles`."""
     angles = np.full(range_m.shape, np.nan, np.float32)
-    for row, k in zip(*np.nonzero((surface == Surface.HORIZONTAL) & (ahead >= 0)), strict=True):
+    has_angle = (surface == Surface.HORIZONTAL) & (ahead >= 0)
+    for row, k in np.argwhere(has_angle).tolist():
         side = beam_rad[row % len(beam_rad)]
         j = ahead[row, k]
         phi = angle_at_first(side[k], side[j], float(range_m[row, k]), float(range_m[row, j]))
@@ -92,7 +95,8 @@ def angle_at_first(
     """Return the angle between the chord of two shots and the beam to the first one [rad]."""
     first = place(first_rad, first_m)
     chord = place(second_rad, second_m) - first
-    return float(np.arctan2(abs(first[0] * chord[1] - first[1] * chord[0]), first @ chord))
+    cross = first[0] * chord[1] - first[1] * chord[0]
+    return float(np.arctan2(abs(cross), first @ chord))
 
 
 def place(beam_rad: float, range_m: float) -> NDArray[np.float64]:

@@ -18,14 +18,10 @@ def high_frequencies(angles: F64, band: float, ratio: float) -> list[int]:
 
     Those equal within rounding do not exceed it.
     """
-    n = len(angles)
     spectrum = np.abs(np.fft.rfft(angles))
-    largest = spectrum.max()
-    return [
-        k
-        for k in range(len(spectrum))
-        if k >= band * n and spectrum[k] > ratio * (1 + 1e-9) * largest
-    ]
+    least = ratio * (1 + 1e-9) * spectrum.max()
+    first = band * len(angles)
+    return [k for k in range(len(spectrum)) if k >= first and spectrum[k] > least]
 
 
 def stable_intervals(signed_deg: F32, intervals: I32, thresholds: FourierThresholds) -> Mask:
@@ -43,11 +39,11 @@ def stable_intervals(signed_deg: F32, intervals: I32, thresholds: FourierThresho
             continue
         n_windows = -(-n // thresholds.window)
         edges = [window * n // n_windows for window in range(n_windows + 1)]
-        empty = [
-            not high_frequencies(angles[a:b], thresholds.band, thresholds.ratio)
-            for a, b in pairwise(edges)
-        ]
-        decisions.append(sum(empty) >= n_windows / 2)
+        n_empty = 0
+        for begin, end in pairwise(edges):
+            if not high_frequencies(angles[begin:end], thresholds.band, thresholds.ratio):
+                n_empty += 1
+        decisions.append(n_empty >= n_windows / 2)
     return np.array(decisions, dtype=np.bool_)
 
 
@@ -68,14 +64,18 @@ def change_angle(
     NaN = no chord.
     """
     distances = np.sqrt(((points - points[j]) ** 2).sum(axis=1))
-    far = [i for i in range(len(points)) if distances[i] >= chord_m and distances[i] > 0]
+    far = np.flatnonzero((distances >= chord_m) & (distances > 0)).tolist()
     after = [i for i in far if j < i <= j + reach]
     before = [i for i in far if j - reach <= i < j]
     if not after:
         return np.nan
-    chord = points[min(after)] - points[j]
-    angle = float(np.degrees(np.arccos(np.clip(chord[2] / distances[min(after)], -1, 1))))
-    turns_back = bool(before) and float(np.sum(chord * (points[j] - points[max(before)]))) < 0
+    end = min(after)
+    chord = points[end] - points[j]
+    angle = float(np.degrees(np.arccos(np.clip(chord[2] / distances[end], -1, 1))))
+    if not before:
+        return angle
+    chord_before = points[j] - points[max(before)]
+    turns_back = float(np.sum(chord * chord_before)) < 0
     return -angle if turns_back else angle
 
 
@@ -86,7 +86,8 @@ def is_something_under(
     threshold_m: float,
 ) -> bool:
     """Tell whether something under point j lies behind it (TestUnder of the paper)."""
-    return bool(max(ranges[max(0, j - n_before) : j + 1]) - ranges[j] > threshold_m)
+    farthest_m = max(ranges[max(0, j - n_before) : j + 1])
+    return bool(farthest_m - ranges[j] > threshold_m)
 
 
 def is_jump(
@@ -97,12 +98,13 @@ def is_jump(
 ) -> bool:
     """Whether the line jumps away from the scanner here, and does not come back."""
     step = points[j + 1] - points[j]
-    far = (
-        np.sum(step[:2] * points[j, :2]) > 0 and np.sqrt(np.sum(step**2)) > thresholds.separation_m
-    )
+    is_outward = np.sum(step[:2] * points[j, :2]) > 0
+    if not is_outward or not np.sqrt(np.sum(step**2)) > thresholds.separation_m:
+        return False
     after = slice(j + 2, j + 2 + thresholds.return_points)
-    comes_back = (distance[after] - distance[j] <= 1.0) & (points[after, 2] - points[j, 2] <= 0.8)
-    return bool(far and not comes_back.any())
+    is_near = distance[after] - distance[j] <= 1.0
+    is_low = points[after, 2] - points[j, 2] <= 0.8
+    return not bool((is_near & is_low).any())
 
 
 def is_flat(
@@ -112,8 +114,9 @@ def is_flat(
     slope: float,
 ) -> bool:
     """Tell whether a straight line through the heights fits and is not steep."""
-    gradient, offset = np.polyfit(distance - distance[0], height - height[0], 1)
-    residual = height - height[0] - gradient * (distance - distance[0]) - offset
+    along = distance - distance[0]
+    gradient, offset = np.polyfit(along, height - height[0], 1)
+    residual = height - height[0] - gradient * along - offset
     return bool(abs(gradient) <= slope and np.sqrt(np.mean(residual**2)) <= residual_m)
 
 
@@ -178,32 +181,13 @@ def car_intervals(
         points = xyz_m[row, beams].astype(np.float64).reshape(-1, 3)
         ranges = range_m[row, beams].astype(np.float64)
         distance = horizontal_m[row, beams].astype(np.float64)
-
-        changes = [j for j in range(1, len(beams)) if codes[j - 1 : j + 1] == [H, V]]
-        chord_m = thresholds.change_chord_m
-        reach = thresholds.change_reach
-        angles = {
-            j: change_angle(points, j, chord_m, reach) if chord_m > 0 else np.nan for j in changes
-        }
-        angles = {
-            j: float(signed_deg[row, beams[j]]) if np.isnan(angle) else angle
-            for j, angle in angles.items()
-        }
-        first_dividers = [
-            j
-            for j in changes
-            if angles[j] < thresholds.sudden_from_deg
-            or angles[j] > thresholds.sudden_to_deg
-            or is_something_under(ranges, j, thresholds.under_points, thresholds.under_m)
-        ]
+        signed = signed_deg[row, beams].astype(np.float64)
+        first_dividers = changes_to_cars(codes, points, ranges, signed, thresholds)
         last_dividers = [
             j
             for j in range(len(beams))
             if j + 1 == len(beams) or is_jump(points, distance, j, thresholds)
         ]
-        if thresholds.from_start and codes[:1] == [V]:
-            first_dividers.insert(0, 0)
-
         start = 0
         while dividers := [j for j in first_dividers if j >= start]:
             t1 = dividers[0]
@@ -218,6 +202,29 @@ def car_intervals(
                 intervals.append((row, beams[t1], beams[t2]))
                 t1 = t2 + 1
     return np.array(intervals, np.int32).reshape(-1, 3)
+
+
+def changes_to_cars(
+    codes: list[int],
+    points: F64,
+    ranges: F64,
+    signed: F64,
+    thresholds: DividerThresholds,
+) -> list[int]:
+    """Return the changes from H to V that may be the begin of a car, and a V at the start."""
+    dividers = [0] if thresholds.from_start and codes[:1] == [V] else []
+    for j in range(1, len(codes)):
+        if codes[j - 1 : j + 1] != [H, V]:
+            continue
+        angle = np.nan
+        if thresholds.change_chord_m > 0:
+            angle = change_angle(points, j, thresholds.change_chord_m, thresholds.change_reach)
+        if np.isnan(angle):
+            angle = float(signed[j])
+        is_sudden = angle < thresholds.sudden_from_deg or angle > thresholds.sudden_to_deg
+        if is_sudden or is_something_under(ranges, j, thresholds.under_points, thresholds.under_m):
+            dividers.append(j)
+    return dividers
 
 
 @dataclass
@@ -264,17 +271,17 @@ class Line:
 
         Empty = it is none.
         """
-        behind = next((i for i, k in enumerate(returns) if self.surface[k] != T), len(returns))
-        window = returns[:behind]
-        following = returns[behind:]
+        n_window = 0
+        while n_window < len(returns) and self.surface[returns[n_window]] == T:
+            n_window += 1
+        following = returns[n_window:]
         if not following or self.surface[following[0]] not in (H, V):
             return []
-        near = self.distance[following[0]] <= self.distance[last] + thresholds.glass_m
-        low = all(
-            not self.height[k] > self.ground_m + thresholds.height_m
-            for k in [*window, following[0]]
-        )
-        return following if near and low and self.height[last] >= self.ground_m + 0.6 else []
+        is_near = self.distance[following[0]] <= self.distance[last] + thresholds.glass_m
+        top_m = self.ground_m + thresholds.height_m
+        is_low = not any(self.height[k] > top_m for k in returns[: n_window + 1])
+        is_on_door = self.height[last] >= self.ground_m + 0.6
+        return following if is_near and is_low and is_on_door else []
 
     def side_of_van(
         self, returns: list[int], last: list[int], thresholds: DividerThresholds
@@ -285,16 +292,16 @@ class Line:
         """
         if not last or self.surface[last[0]] != V:
             return []
-        steps = [
-            i
-            for i, (a, b) in enumerate(pairwise([*last, *returns]))
-            if self.surface[b] != V
-            or abs(self.distance[b] - self.distance[a]) > thresholds.vertical_break_m
-        ]
-        run = returns[: steps[0]] if steps else returns
-        is_open = not steps and returns[-1] == len(self.surface) - 1
-        too_high = any(self.height[k] > self.ground_m + thresholds.tall_m for k in run)
-        return [] if is_open or too_high else run
+        n_side = 0
+        for before, k in pairwise([*last, *returns]):
+            step_m = abs(self.distance[k] - self.distance[before])
+            if self.surface[k] != V or step_m > thresholds.vertical_break_m:
+                break
+            n_side += 1
+        side = returns[:n_side]
+        goes_on = n_side == len(returns) and returns[-1] == len(self.surface) - 1
+        is_too_high = any(self.height[k] > self.ground_m + thresholds.tall_m for k in side)
+        return [] if goes_on or is_too_high else side
 
 
 def first_ground(
@@ -309,22 +316,24 @@ def first_ground(
 
     None = there is none.
     """
-    limits = (thresholds.flat_length_m, thresholds.flat_residual_m, thresholds.flat_slope)
-    steps = [
-        k for k in range(t1 + 1, t2 + 1) if abs(height[k] - height[k - 1]) > thresholds.flat_step_m
-    ]
-    cuts = [t1, *steps, t2 + 1]
-    level = [(a - t1 + f, a - t1 + z) for a, b in pairwise(cuts) for f, z in runs(codes[a:b], H)]
-    for first, last in level:
-        part = slice(t1 + first, t1 + last + 1)
-        stretch = flat_stretch(distance[part], height[part], *limits)
-        before = height[t1 : t1 + first + stretch[0]] if stretch else height[:0]
-        if (
-            stretch
-            and not height[t1 + first + stretch[0]] - min(before, default=np.inf)
-            > thresholds.flat_above_m
-        ):
-            return t1 + first + stretch[0], t1 + first + stretch[1]
+    steps = np.abs(np.diff(height[t1 : t2 + 1]))
+    cuts = (t1 + 1 + np.flatnonzero(steps > thresholds.flat_step_m)).tolist()
+    for begin, end in pairwise([t1, *cuts, t2 + 1]):
+        for first, last in runs(codes[begin:end], H):
+            run = slice(begin + first, begin + last + 1)
+            stretch = flat_stretch(
+                distance[run],
+                height[run],
+                thresholds.flat_length_m,
+                thresholds.flat_residual_m,
+                thresholds.flat_slope,
+            )
+            if stretch is None:
+                continue
+            k = run.start + stretch[0]
+            lowest_before = min(height[t1:k], default=np.inf)
+            if not height[k] - lowest_before > thresholds.flat_above_m:
+                return k, run.start + stretch[1]
     return None
 
 
@@ -352,17 +361,16 @@ def is_open(
 
 def is_straight(distance: F64, heights: F64, thresholds: DividerThresholds) -> bool:
     """Tell whether a vertical run is straight and upright, as no car is."""
-    if np.ptp(heights) < thresholds.straight_extent_m or np.ptp(heights) == 0:
+    extent_m = np.ptp(heights)
+    if extent_m < thresholds.straight_extent_m or extent_m == 0:
         return False
-    high = bool(np.ptp(heights) >= thresholds.vertical_extent_m)
-    if high and len(heights) < thresholds.straight_points:
+    if extent_m < thresholds.vertical_extent_m:
+        return is_upright(
+            distance, heights, thresholds.straight_m, thresholds.straight_slope, thresholds
+        )
+    if len(heights) < thresholds.straight_points:
         return True
-    residual_m, slope = (
-        (np.inf, thresholds.vertical_slope)
-        if high
-        else (thresholds.straight_m, thresholds.straight_slope)
-    )
-    return is_upright(distance, heights, residual_m, slope, thresholds)
+    return is_upright(distance, heights, np.inf, thresholds.vertical_slope, thresholds)
 
 
 def is_upright(
@@ -373,13 +381,12 @@ def is_upright(
     thresholds: DividerThresholds,
 ) -> bool:
     """Tell whether points are near a straight line that is nearly upright."""
-    lean, offset = np.polyfit(heights - heights[0], distance - distance[0], 1)
-    residual = distance - distance[0] - lean * (heights - heights[0]) - offset
-    near = np.sqrt(np.mean(residual**2)) <= residual_m
-    return bool(
-        near
-        and abs(lean) <= slope + thresholds.lean_noise_m / np.sqrt(len(heights) * np.var(heights))
-    )
+    up = heights - heights[0]
+    lean, offset = np.polyfit(up, distance - distance[0], 1)
+    residual = distance - distance[0] - lean * up - offset
+    is_near = np.sqrt(np.mean(residual**2)) <= residual_m
+    most_lean = slope + thresholds.lean_noise_m / np.sqrt(len(heights) * np.var(heights))
+    return bool(is_near and abs(lean) <= most_lean)
 
 
 def cut_verticals(
@@ -397,27 +404,26 @@ def cut_verticals(
         beams = [k for k in range(first, n_beams[row]) if not np.isnan(horizontal_m[row, k])]
         codes = [int(surface[row, k]) for k in beams]
         distance = horizontal_m[row, beams].astype(np.float64)
-        # beams have the same number up to the next break
-        part = np.cumsum(
-            [0] + [abs(b - a) > thresholds.vertical_break_m for a, b in pairwise(distance)]
-        )
-        keep = [k <= last for k in beams]
-        vertical = []
-        for number in set(part.tolist()):
-            of_part = [code if k == number else -1 for code, k in zip(codes, part, strict=True)]
-            vertical += runs(of_part, V)
-        for begin, end in vertical:
-            heights = xyz_m[row, beams[begin : end + 1], 2].astype(np.float64)
-            too_high = is_too_high(heights, float(ground_m[row]), thresholds)
-            too_high = too_high or is_open(
-                beams[begin : end + 1], heights, n_beams[row], thresholds
-            )
-            if too_high or is_straight(distance[begin : end + 1], heights, thresholds):
-                keep[begin : end + 1] = [False] * (end + 1 - begin)
         height = xyz_m[row, beams, 2].astype(np.float64)
+        is_kept = np.array([k <= last for k in beams], np.bool_)
+
+        # vertical runs end where the line breaks
+        breaks = np.flatnonzero(np.abs(np.diff(distance)) > thresholds.vertical_break_m) + 1
+        vertical: list[tuple[int, int]] = []
+        for part_first, part_stop in pairwise([0, *breaks.tolist(), len(beams)]):
+            for begin, end in runs(codes[part_first:part_stop], V):
+                vertical.append((part_first + begin, part_first + end))
+        for begin, end in vertical:
+            run = slice(begin, end + 1)
+            if (
+                is_too_high(height[run], float(ground_m[row]), thresholds)
+                or is_open(beams[run], height[run], n_beams[row], thresholds)
+                or is_straight(distance[run], height[run], thresholds)
+            ):
+                is_kept[run] = False
         for begin, end in reliefs(codes, distance, height, beams.index(last), thresholds):
-            keep[begin : end + 1] = [False] * (end + 1 - begin)
-        for begin, end in runs([int(is_kept) for is_kept in keep], 1):
+            is_kept[begin : end + 1] = False
+        for begin, end in runs(is_kept.astype(int).tolist(), 1):
             pieces.append((row, beams[begin], beams[end]))
     return np.array(pieces, np.int32).reshape(-1, 3)
 
@@ -433,27 +439,45 @@ def reliefs(
     walls: list[tuple[int, int]] = []
     begin = 0
     while begin <= last and thresholds.relief_m > 0:
-        run = [begin] if codes[begin] in (H, V) else []
-        while run:
-            ahead = range(run[-1] + 1, min(run[-1] + 2 + thresholds.return_points, len(codes)))
-            near = [
-                k
-                for k in ahead
-                if codes[k] in (H, V) and abs(distance[k] - distance[run[-1]]) <= 0.1
-            ]
-            if not near:
-                break
-            run.append(near[0])
-        heights = height[run]
+        run = relief_run(codes, distance, begin, thresholds)
+        extent_m = np.ptp(height[run]) if run else 0.0
+        is_high = extent_m >= thresholds.vertical_extent_m and extent_m > 0
         if (
             len(run) >= thresholds.straight_points
-            and np.ptp(heights) >= thresholds.vertical_extent_m
+            and is_high
+            and is_upright(
+                distance[run],
+                height[run],
+                thresholds.relief_m,
+                thresholds.straight_slope,
+                thresholds,
+            )
         ):
-            limits = thresholds.relief_m, thresholds.straight_slope, thresholds
-            if np.ptp(heights) > 0 and is_upright(distance[run], heights, *limits):
-                walls.append((begin, run[-1]))
+            walls.append((begin, run[-1]))
         begin = max([begin, *run]) + 1
     return walls
+
+
+def relief_run(
+    codes: list[int],
+    distance: F64,
+    begin: int,
+    thresholds: DividerThresholds,
+) -> list[int]:
+    """Return the points of H and V from one on that are each near the one before."""
+    if codes[begin] not in (H, V):
+        return []
+    run = [begin]
+    while True:
+        stop = min(run[-1] + 2 + thresholds.return_points, len(codes))
+        near = [
+            k
+            for k in range(run[-1] + 1, stop)
+            if codes[k] in (H, V) and abs(distance[k] - distance[run[-1]]) <= 0.1
+        ]
+        if not near:
+            return run
+        run.append(near[0])
 
 
 def firm_intervals(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -23,26 +24,39 @@ def hmm_cusum(values: F32, thresholds: MarkovThresholds) -> Mask:
     """Mark the samples of model 1; see :func:`coarse_loops.hmm_cusum`."""
     marked = np.zeros(values.shape, dtype=bool)
     for row, line in enumerate(values):
-        there = np.flatnonzero(~np.isnan(line))
-        samples = line[there].astype(np.float64)
+        columns = np.flatnonzero(~np.isnan(line))
+        samples = line[columns].astype(np.float64)
         densities = norm.logpdf(samples[:, None], thresholds.means_deg, thresholds.sigmas_deg)
-        test = Test(
-            densities,
-            (thresholds.h0, thresholds.initial_h0),
-            (thresholds.h1, thresholds.initial_h1),
-            thresholds,
-        )
+        h0 = Model(thresholds.h0, thresholds.initial_h0)
+        h1 = Model(thresholds.h1, thresholds.initial_h1)
+        test = Test(densities, h0, h1, thresholds)
         regions = confirmed_regions(samples, test) if thresholds.sprt else regions_both_ways(test)
-        for i, (start, stop) in enumerate(regions):
-            marked[row, there[start : stop + 1]] = True
-            gap = there[regions[i - 1][1] + 1 : start] if i else there[:0]
-            if thresholds.sprt and len(gap) < thresholds.merge_gap:
-                marked[row, gap] = True
+        for start, stop in regions:
+            marked[row, columns[start : stop + 1]] = True
+        if thresholds.sprt:
+            for (_, stop), (start, _) in pairwise(regions):
+                gap = columns[stop + 1 : start]
+                if len(gap) < thresholds.merge_gap:
+                    marked[row, gap] = True
     return marked
 
 
-Model = tuple[Matrix, Three]
-"""Transition probabilities, and those of the states at the first sample."""
+class Model(NamedTuple):
+    """A Markov chain."""
+
+    transition: Matrix
+    """Probabilities of the states after every state."""
+    initial: Three
+    """Probabilities of the states at the first sample."""
+
+
+class Change(NamedTuple):
+    """A change of the model, as samples."""
+
+    alarm: int
+    """Where it is noticed."""
+    onset: int
+    """Where it begins."""
 
 
 class Test(NamedTuple):
@@ -64,13 +78,13 @@ def regions_both_ways(test: Test) -> list[tuple[int, int]]:
     regions: list[tuple[int, int]] = []
     now = 0
     while (change := page_test(log_density, h0, h1, now, thresholds.threshold)) is not None:
-        alarm, onset = change
-        start = onset if thresholds.backdate else alarm
-        change = page_test(log_density, h1, h0, alarm + 1, thresholds.threshold_back)
-        if change is None:
+        start = change.onset if thresholds.backdate else change.alarm
+        back = page_test(log_density, h1, h0, change.alarm + 1, thresholds.threshold_back)
+        if back is None:
             return [*regions, (start, len(log_density) - 1)]
-        regions.append((start, (change[1] if thresholds.backdate else change[0]) - 1))
-        now = change[0] + 1
+        end = back.onset if thresholds.backdate else back.alarm
+        regions.append((start, end - 1))
+        now = back.alarm + 1
     return regions
 
 
@@ -81,8 +95,7 @@ def confirmed_regions(samples: F64, test: Test) -> list[tuple[int, int]]:
     regions: list[tuple[int, int]] = []
     now = 0
     while (change := page_test(log_density, h0, h1, now, thresholds.threshold)) is not None:
-        alarm, onset = change
-        verdict, now = wald_test(log_density, h0, h1, alarm + 1, *bounds)
+        verdict, now = wald_test(log_density, h0, h1, change.alarm + 1, *bounds)
         if verdict is None:
             break
         if not verdict:
@@ -90,11 +103,13 @@ def confirmed_regions(samples: F64, test: Test) -> list[tuple[int, int]]:
         while verdict:
             verdict, now = wald_test(log_density, h0, h1, now, *bounds)
         stop = now - 1
-        negative = [i for i in range(alarm + 1, stop + 1) if samples[i] < 0]
-        if negative:
-            stop = min(negative[-1] + 1, len(samples) - 1)
+        # the region ends behind its last negative sample
+        negative = np.flatnonzero(samples[change.alarm + 1 : stop + 1] < 0)
+        if len(negative):
+            last_negative = change.alarm + 1 + int(negative[-1])
+            stop = min(last_negative + 1, len(samples) - 1)
         now = stop + 1
-        regions.append((onset if thresholds.backdate else alarm, stop))
+        regions.append((change.onset if thresholds.backdate else change.alarm, stop))
     return regions
 
 
@@ -104,18 +119,18 @@ def page_test(
     model: Model,
     begin: int,
     threshold: float,
-) -> tuple[int, int] | None:
-    """Return alarm and onset of the first change from model 0 to model 1, None if there is none."""
+) -> Change | None:
+    """Return the first change from model 0 to model 1, None if there is none."""
     s = 0.0
     onset = begin
     state_0: F64 | None = None
     state_1: F64 | None = None
     for t in range(begin, len(log_density)):
-        state_0 = step(state_0, *zero, log_density[t])
-        state_1 = step(state_1, *model, log_density[t])
+        state_0 = step(state_0, zero, log_density[t])
+        state_1 = step(state_1, model, log_density[t])
         s += logsumexp(state_1) - logsumexp(state_0)
         if s > threshold:
-            return t, onset
+            return Change(alarm=t, onset=onset)
         if s < 0:
             s = 0.0
             onset = t + 1
@@ -137,8 +152,8 @@ def wald_test(
     state_0: F64 | None = None
     state_1: F64 | None = None
     for t in range(begin, len(log_density)):
-        state_0 = step(state_0, *zero, log_density[t])
-        state_1 = step(state_1, *model, log_density[t])
+        state_0 = step(state_0, zero, log_density[t])
+        state_1 = step(state_1, model, log_density[t])
         s += logsumexp(state_1) - logsumexp(state_0)
         if s > accept:
             return True, t + 1
@@ -147,17 +162,15 @@ def wald_test(
     return None, len(log_density)
 
 
-def step(
-    before: F64 | None,
-    transition: Matrix,
-    initial: Three,
-    log_density: F64,
-) -> F64:
+def step(before: F64 | None, model: Model, log_density: F64) -> F64:
     """Return the scaled forward variable of one sample as logarithms (eqs. 24 to 26).
 
     ``before`` None = restart.
     """
-    share = initial if before is None else np.exp(before - logsumexp(before)) @ transition
+    if before is None:
+        share = np.asarray(model.initial)
+    else:
+        share = np.exp(before - logsumexp(before)) @ model.transition
     with np.errstate(divide="ignore"):
         after: F64 = np.log(share) + log_density
     return after
@@ -183,38 +196,39 @@ def surface_image(
             if thresholds.fold:
                 tilt = np.minimum(tilt, 180.0 - tilt)
             labels.update(zip(run, horizontal_or_vertical(tilt, thresholds), strict=True))
-        valid = [k for k in range(n_beams[row]) if not np.isnan(range_m[row, k])]
+        # shots without an angle have the label before them
         label = labels[beams[0]] if beams else Surface.UNDECIDED
-        for k in valid:
-            label = labels.get(k, label)
-            image[row, k] = label
+        for k in range(n_beams[row]):
+            if not np.isnan(range_m[row, k]):
+                label = labels.get(k, label)
+                image[row, k] = label
     return image
 
 
 def horizontal_or_vertical(tilt: F64, thresholds: SurfaceThresholds) -> list[Surface]:
     """Label the samples of a run by CUSUM tests for a change of their mean, one a direction."""
-    drifts = {
-        Surface.HORIZONTAL: thresholds.drift_vertical_deg,
-        Surface.VERTICAL: thresholds.drift_horizontal_deg,
-    }
-    limits = {
-        Surface.HORIZONTAL: thresholds.threshold_vertical_deg,
-        Surface.VERTICAL: thresholds.threshold_horizontal_deg,
-    }
-    vertical = not thresholds.start_horizontal and np.median(tilt[:5]) < 45.0
-    label = Surface.VERTICAL if vertical else Surface.HORIZONTAL
+    is_vertical = not thresholds.start_horizontal and bool(np.median(tilt[:5]) < 45.0)
     labels: list[Surface] = []
     s = 0.0
     n_since_reset = 0
     for y in tilt:
-        s += drifts[label] - y if label is Surface.HORIZONTAL else y - drifts[label]
-        if s > limits[label]:
-            label = Surface.HORIZONTAL if label is Surface.VERTICAL else Surface.VERTICAL
-            if thresholds.backdate:
-                labels[len(labels) - n_since_reset :] = [label] * n_since_reset
+        if is_vertical:
+            s += y - thresholds.drift_horizontal_deg
+            has_changed = s > thresholds.threshold_horizontal_deg
+        else:
+            s += thresholds.drift_vertical_deg - y
+            has_changed = s > thresholds.threshold_vertical_deg
+        if has_changed:
+            is_vertical = not is_vertical
             s = 0.0
+        label = Surface.VERTICAL if is_vertical else Surface.HORIZONTAL
+        if has_changed and thresholds.backdate:
+            labels[len(labels) - n_since_reset :] = [label] * n_since_reset
         labels.append(label)
-        s, n_since_reset = (0.0, 0) if s <= 0 else (s, n_since_reset + 1)
+        n_since_reset += 1
+        if s <= 0:
+            s = 0.0
+            n_since_reset = 0
     return labels
 
 
@@ -234,17 +248,17 @@ def upright_layers(
     image = surface.copy()
     for row, codes in enumerate(surface):
         returns = [k for k in range(n_beams[row]) if codes[k] != Surface.MISSING]
-        green = codes == Surface.VEGETATION
-        for run in runs(returns, green):
-            if not green[run[0]] or len(run) < thresholds.min_points:
+        is_green = codes == Surface.VEGETATION
+        for run in runs(returns, is_green):
+            if not is_green[run[0]] or len(run) < thresholds.min_points:
                 continue
+            # the fullest layer, and the fuller one of those before and behind it
             distances = np.sort(horizontal_m[row, run].astype(np.float64))
-            first, after = fullest(distances, thresholds.width_m)
-            beside = [
-                fullest(part, thresholds.width_m) for part in (distances[:first], distances[after:])
-            ]
-            inside = after - first + max(b - a for a, b in beside)
-            if inside > thresholds.share * len(run):
+            first, stop = fullest(distances, thresholds.width_m)
+            first_before, stop_before = fullest(distances[:first], thresholds.width_m)
+            first_behind, stop_behind = fullest(distances[stop:], thresholds.width_m)
+            n_inside = stop - first + max(stop_before - first_before, stop_behind - first_behind)
+            if n_inside > thresholds.share * len(run):
                 image[row, run] = Surface.VERTICAL
     return image
 
@@ -254,14 +268,16 @@ def fullest(distances: F64, width_m: float) -> tuple[int, int]:
 
     The first one of several.
     """
-    counts = [
-        int(np.count_nonzero((distances >= d) & (distances - d <= width_m)))
-        for d in distances.tolist()
-    ]
-    # equal distances begin the same layer, of which the first holds them all
-    counts = [n if i == 0 or distances[i - 1] != distances[i] else 0 for i, n in enumerate(counts)]
-    first = int(np.argmax(counts)) if counts else 0
-    return first, first + (int(counts[first]) if counts else 0)
+    first = 0
+    most = 0
+    for i, distance in enumerate(distances.tolist()):
+        # of equal distances, the first begins a layer with all of them
+        is_in_layer = (distances >= distance) & (distances - distance <= width_m)
+        n_in_layer = int(np.count_nonzero(is_in_layer))
+        if n_in_layer > most:
+            first = i
+            most = n_in_layer
+    return first, first + most
 
 
 def behind_walls(
@@ -277,36 +293,32 @@ def behind_walls(
         beams = [k for k in range(n_beams[row]) if codes[k] != Surface.MISSING]
         distance = horizontal_m[row, beams].astype(np.float64)
         height = xyz_m[row, beams, 2].astype(np.float64)
-        vertical = codes[beams] == Surface.VERTICAL
-        ends = (
-            np.flatnonzero(
-                ~vertical[1:] | ~vertical[:-1] | (np.abs(np.diff(distance)) > thresholds.break_m)
-            )
-            + 1
-        )
-        parts = [
-            part
-            for part in np.split(np.arange(len(beams)), ends)
-            if len(part) and vertical[part[0]]
-        ]
-        walls = [part for part in parts if is_wall(distance[part], height[part], thresholds)]
+        is_vertical = codes[beams] == Surface.VERTICAL
+        is_cut = ~is_vertical[1:] | ~is_vertical[:-1]
+        is_cut |= np.abs(np.diff(distance)) > thresholds.break_m
+        walls = []
+        for part in np.split(np.arange(len(beams)), np.flatnonzero(is_cut) + 1):
+            is_run = len(part) > 0 and is_vertical[part[0]]
+            if is_run and is_wall(distance[part], height[part], thresholds):
+                walls.append(part)
         for i in np.flatnonzero(codes[beams] == Surface.VEGETATION).tolist():
-            away = [
-                (wall[0] > i, distance[i] - 0.5 * (distance[wall].min() + distance[wall].max()))
-                for wall in walls
-            ]
-            on_wall = any(abs(far) <= thresholds.wall_m for _, far in away)
-            if on_wall or any(above and far >= -thresholds.front_m for above, far in away):
-                image[row, beams[i]] = Surface.VERTICAL
+            for wall in walls:
+                middle = 0.5 * (distance[wall].min() + distance[wall].max())
+                behind_m = distance[i] - middle
+                is_below = wall[0] > i
+                is_on_wall = abs(behind_m) <= thresholds.wall_m
+                if is_on_wall or (is_below and behind_m >= -thresholds.front_m):
+                    image[row, beams[i]] = Surface.VERTICAL
     return image
 
 
 def is_wall(distance: F64, height: F64, thresholds: WindowThresholds) -> bool:
     """Tell whether a vertical run is high, straight and upright."""
-    if np.ptp(height) < thresholds.wall_extent_m or np.ptp(height) == 0:
+    extent_m = np.ptp(height)
+    if extent_m < thresholds.wall_extent_m or extent_m == 0:
         return False
-    lean, offset = np.polyfit(height - height[0], distance - distance[0], 1)
-    residual = distance - distance[0] - lean * (height - height[0]) - offset
-    return bool(
-        abs(lean) <= thresholds.slope and np.sqrt(np.mean(residual**2)) <= thresholds.straight_m
-    )
+    up = height - height[0]
+    lean, offset = np.polyfit(up, distance - distance[0], 1)
+    residual = distance - distance[0] - lean * up - offset
+    is_straight = np.sqrt(np.mean(residual**2)) <= thresholds.straight_m
+    return bool(abs(lean) <= thresholds.slope and is_straight)

@@ -5,8 +5,10 @@ Regions are sets of points here, and grow by whole lines.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
+from operator import itemgetter
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -72,6 +74,9 @@ class Region:
 
 
 FATES = {1: "high", 2: "rejected", 3: "curb"}
+"""Labels of points whose region is decided."""
+FIRST_OPEN = 4
+"""Label of the first undecided region; the others follow."""
 
 
 class Growing:
@@ -79,30 +84,35 @@ class Growing:
 
     def __init__(self, n_sides: int, regions: OpenRegions, thresholds: CurbThresholds) -> None:
         self.thresholds = thresholds
-        known = [
-            Region(int(side), low=float(low), high=float(high), possible=bool(possible))
-            for side, low, high, possible in zip(
-                regions.side, regions.low_m, regions.high_m, regions.possible, strict=True
+        open_regions = [
+            Region(
+                side=int(regions.side[i]),
+                low=float(regions.low_m[i]),
+                high=float(regions.high_m[i]),
+                possible=bool(regions.possible[i]),
             )
+            for i in range(len(regions.side))
         ]
-        self.of: dict[tuple[int, int, int], Region] = {}
+        self.region_of: dict[tuple[int, int, int], Region] = {}
         """Region of every vertical point, by side, line and beam."""
-        for row, k in zip(*np.nonzero(regions.labels), strict=True):
-            side = int(row) % n_sides
-            line = int(row) // n_sides
+        for row, k in np.argwhere(regions.labels).tolist():
+            line, side = divmod(row, n_sides)
             label = int(regions.labels[row, k])
-            region = known[label - 4] if label >= 4 else Region(side, fate=FATES[label])
-            region.points.add((line, int(k)))
-            self.of[side, line, int(k)] = region
+            if label >= FIRST_OPEN:
+                region = open_regions[label - FIRST_OPEN]
+            else:
+                region = Region(side, fate=FATES[label])
+            region.points.add((line, k))
+            self.region_of[side, line, k] = region
 
     def open(self, side: int) -> list[Region]:
         """Return the undecided regions of a side."""
-        open_regions = {
-            id(region): region
-            for (of, _, _), region in self.of.items()
-            if of == side and region.fate == "open"
-        }
-        return list(open_regions.values())
+        open_regions = [
+            region
+            for (side_of_point, _, _), region in self.region_of.items()
+            if side_of_point == side and region.fate == "open"
+        ]
+        return list(dict.fromkeys(open_regions))
 
     def add_row(
         self,
@@ -114,67 +124,79 @@ class Growing:
         possible: int,
     ) -> None:
         """Add the vertical points of a row."""
-
-        def near(a: F64, b: F64) -> bool:
-            x, y, z = a - b
-            return bool(x * x + y * y + z * z < self.thresholds.grouping_m**2)
-
-        above_of = {
-            k: [
-                self.of[side, line - 1, j]
-                for j in (k - 1, k, k + 1)
-                if (side, line - 1, j) in self.of and near(here[k], above[j])
-            ]
-            for k in beams
-        }
-        touched = {
-            k: [region for region in above_of[k] if region.fate in ("open", "high")] for k in beams
-        }
-        # neighbours in the row belong together, and points that touch the same region above
-        pairs = [
-            (i, i + 1)
-            for i, (j, k) in enumerate(pairwise(beams))
-            if j + 1 == k and near(here[k], here[j])
-        ]
-        first_at: dict[int, int] = {}
-        for i, k in enumerate(beams):
-            pairs += [(first_at.setdefault(id(region), i), i) for region in touched[k]]
-        first, second = np.array(pairs, int).reshape(-1, 2).T
-        graph = coo_array((np.ones(len(pairs)), (first, second)), shape=(len(beams), len(beams)))
-        n_groups, group_of = connected_components(graph, directed=False) if beams else (0, [])
-        for number in range(n_groups):
-            group = {beams[i] for i in np.flatnonzero(np.equal(group_of, number)).tolist()}
-            joined = Region(side, {(line, k) for k in group}, possible=possible in group)
-            z = [float(here[k, 2]) for k in group]
-            joined.low = min(z)
-            joined.high = max(z)
-            for region in {id(region): region for k in group for region in touched[k]}.values():
+        touched: list[list[Region]] = []
+        for k in beams:
+            regions = []
+            for j in (k - 1, k, k + 1):
+                region = self.region_of.get((side, line - 1, j))
+                is_growing = region is not None and region.fate in ("open", "high")
+                if region and is_growing and self.are_near(here[k], above[j]):
+                    regions.append(region)
+            touched.append(regions)
+        for members in self.groups(beams, here, touched):
+            group = [beams[i] for i in members]
+            z = here[group, 2].tolist()
+            joined = Region(
+                side,
+                points={(line, k) for k in group},
+                low=min(z),
+                high=max(z),
+                possible=possible in group,
+            )
+            for region in {region for i in members for region in touched[i]}:
                 joined.points |= region.points
                 joined.possible |= region.possible
+                joined.low = min(joined.low, region.low)
+                joined.high = max(joined.high, region.high)
                 if region.fate == "high":
                     joined.fate = "high"
-                joined.low, joined.high = min(joined.low, region.low), max(joined.high, region.high)
             if joined.high - joined.low > self.thresholds.max_height_m:
                 joined.fate = "high"
             for point_line, k in joined.points:
-                self.of[side, point_line, k] = joined
+                self.region_of[side, point_line, k] = joined
+
+    def are_near(self, first: F64, second: F64) -> bool:
+        """Return whether two points (3,) belong together."""
+        x, y, z = first - second
+        return bool(x * x + y * y + z * z < self.thresholds.grouping_m**2)
+
+    def groups(
+        self, beams: list[int], here: F64, touched: list[list[Region]]
+    ) -> Iterator[list[int]]:
+        """Iterate over groups of points of a row, as indices into its beams.
+
+        Neighbours in the row belong together, and points that touch the same region above.
+        """
+        if not beams:
+            return
+        pairs: list[tuple[int, int]] = []
+        for i, (j, k) in enumerate(pairwise(beams)):
+            if j + 1 == k and self.are_near(here[k], here[j]):
+                pairs.append((i, i + 1))
+        first_at: dict[Region, int] = {}
+        for i, regions in enumerate(touched):
+            pairs.extend((first_at.setdefault(region, i), i) for region in regions)
+        first, second = np.array(pairs, int).reshape(-1, 2).T
+        graph = coo_array((np.ones(len(pairs)), (first, second)), shape=(len(beams), len(beams)))
+        n_groups, group_of = connected_components(graph, directed=False)
+        for number in range(n_groups):
+            yield np.flatnonzero(np.equal(group_of, number)).tolist()
 
     def decide(self, region: Region, signed: F64) -> None:
         """Decide whether a region is a curb; ``signed``: the angles of its side by line."""
         region.fate = "rejected"
-        if (
-            not region.possible
-            or float(region.high) - float(region.low) < self.thresholds.min_height_m
-        ):
+        height_m = float(region.high) - float(region.low)
+        if not region.possible or height_m < self.thresholds.min_height_m:
             return
-        changes = [
-            abs(signed[line, k] - signed[line, k - 1])
-            for line, k in region.points
-            if (line, k - 1) in region.points
-        ]
-        changes = [change for change in changes if not np.isnan(change)]
-        many = region.last - region.first + 1 >= self.thresholds.min_lines
-        if many or (changes and np.median(changes) < self.thresholds.curvature_deg):
+        changes = []
+        for line, k in region.points:
+            if (line, k - 1) in region.points:
+                change = abs(signed[line, k] - signed[line, k - 1])
+                if not np.isnan(change):
+                    changes.append(change)
+        n_lines = region.last - region.first + 1
+        is_long = n_lines >= self.thresholds.min_lines
+        if is_long or (changes and np.median(changes) < self.thresholds.curvature_deg):
             region.fate = "curb"
 
 
@@ -197,19 +219,20 @@ def connect_verticals(
     n_new = len(surface) // n_sides
     n_lines = n_before + n_new
     points = np.concatenate([above_xyz, xyz]).astype(np.float64).reshape(n_new + 1, n_sides, n, 3)
-    angles = np.full((n_lines + thresholds.min_lines, n_sides, n), np.nan)
+    # the known angles are those of the last lines
     known = np.concatenate([above_signed, signed]).reshape(-1, n_sides, n)
+    angles = np.full((n_lines + thresholds.min_lines, n_sides, n), np.nan)
     if len(known):
         angles[-len(known) :] = known
     angles = angles[thresholds.min_lines :]
+
     for row in range(len(surface)):
-        side = row % n_sides
-        new = row // n_sides
+        new, side = divmod(row, n_sides)
         line = n_before + new
         beams = np.flatnonzero(surface[row] == VERTICAL).tolist()
-        growing.add_row(
-            side, line, beams, points[new + 1, side], points[new, side], int(possible[row])
-        )
+        here = points[new + 1, side]
+        above = points[new, side]
+        growing.add_row(side, line, beams, here, above, int(possible[row]))
         for region in growing.open(side):
             if region.last < line or line - region.first + 1 >= thresholds.max_lines:
                 growing.decide(region, angles[:, side])
@@ -218,32 +241,33 @@ def connect_verticals(
         for region in undecided:
             growing.decide(region, angles[:, region.side])
         undecided = []
-    first_open = min([region.first for region in undecided], default=n_lines)
 
+    # curbs up to the first open line, and the labels of the lines from it on
+    first_open = min([region.first for region in undecided], default=n_lines)
     curb = np.zeros(((first_open - regions.n_given) * n_sides, n), dtype=bool)
     begin = min(first_open, n_lines - 1)
-    left = np.zeros(((n_lines - begin) * n_sides, n), dtype=np.int32)
-    order: list[Region] = []
-    for side, line, k in sorted(growing.of, key=lambda key: (key[1], key[0], key[2])):
-        region = growing.of[side, line, k]
+    labels = np.zeros(((n_lines - begin) * n_sides, n), dtype=np.int32)
+    numbers = {fate: number for number, fate in FATES.items()}
+    open_regions: list[Region] = []
+    for side, line, k in sorted(growing.region_of, key=itemgetter(1, 0, 2)):
+        region = growing.region_of[side, line, k]
         if regions.n_given <= line < first_open:
             curb[(line - regions.n_given) * n_sides + side, k] = region.fate == "curb"
-        if line >= begin:
-            if region.fate == "open" and region not in order:
-                order.append(region)
-            number = (
-                4 + order.index(region)
-                if region.fate == "open"
-                else {v: i for i, v in FATES.items()}[region.fate]
-            )
-            left[(line - begin) * n_sides + side, k] = number
+        if line < begin:
+            continue
+        label = numbers.get(region.fate)
+        if label is None:
+            if region not in open_regions:
+                open_regions.append(region)
+            label = FIRST_OPEN + open_regions.index(region)
+        labels[(line - begin) * n_sides + side, k] = label
     return curb, OpenRegions(
-        labels=left,
+        labels=labels,
         n_given=n_lines - begin if first_open == n_lines else 0,
-        side=np.array([region.side for region in order], np.int32),
-        first=np.array([region.first - begin for region in order], np.int32),
-        last=np.array([region.last - begin for region in order], np.int32),
-        possible=np.array([region.possible for region in order], np.bool_),
-        low_m=np.array([region.low for region in order], np.float32),
-        high_m=np.array([region.high for region in order], np.float32),
+        side=np.array([region.side for region in open_regions], np.int32),
+        first=np.array([region.first - begin for region in open_regions], np.int32),
+        last=np.array([region.last - begin for region in open_regions], np.int32),
+        possible=np.array([region.possible for region in open_regions], np.bool_),
+        low_m=np.array([region.low for region in open_regions], np.float32),
+        high_m=np.array([region.high for region in open_regions], np.float32),
     )

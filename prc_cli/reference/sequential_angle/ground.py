@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 from itertools import groupby
-from operator import itemgetter
+from operator import attrgetter, itemgetter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,38 +42,68 @@ def weight(bins_away: int) -> int:
 WEIGHTS = np.array([weight(away) for away in range(-43, 44)])
 
 
-def grid_modes(samples: list[int]) -> list[tuple[float, int]]:
-    """Return place (in bins) and number of samples of every mode of binned samples, rising."""
+def grid_modes(samples: list[int]) -> list[Mode]:
+    """Return the modes of binned samples, rising."""
     if not samples:
         return []
     lowest = min(samples)
     histogram = np.bincount(np.array(samples) - lowest)
     density = np.convolve(histogram, WEIGHTS)[43:-43].tolist()
+
     # stretches of equal density, and those of them that are higher, or lower, than what is beside
     # them
-    stretches: list[tuple[int, int, int]] = []
-    for value, group in groupby(enumerate(density), key=lambda pair: pair[1]):
+    stretches: list[_Stretch] = []
+    for value, group in groupby(enumerate(density), key=itemgetter(1)):
         places = [place for place, _ in group]
-        stretches.append((places[0] + lowest, places[-1] + lowest, value))
-    values = [-1, *(value for _, _, value in stretches), -1]
-    highs = [s for i, s in enumerate(stretches, 1) if values[i - 1] < values[i] > values[i + 1]]
-    floors = [s for i, s in enumerate(stretches, 1) if values[i - 1] > values[i] < values[i + 1]]
-    parts = [min(samples) - 1, *(last for _, last, _ in floors), max(samples)]
-    modes: list[list[tuple[float, int, int]]] = []
-    for (first, last, value), after, up_to in zip(highs, parts[:-1], parts[1:], strict=True):
-        mode = ((first + last) / 2, value, sum(after < sample <= up_to for sample in samples))
-        if modes and mode[0] - modes[-1][-1][0] < EIGHTHS / 2:
-            modes[-1].append(mode)
+        stretches.append(_Stretch(places[0] + lowest, places[-1] + lowest, value))
+    values = [-1, *(stretch.density for stretch in stretches), -1]
+    highs: list[_Stretch] = []
+    lows: list[_Stretch] = []
+    for i, stretch in enumerate(stretches, start=1):
+        if values[i - 1] < values[i] > values[i + 1]:
+            highs.append(stretch)
+        elif values[i - 1] > values[i] < values[i + 1]:
+            lows.append(stretch)
+
+    # a mode has the samples up to the next low; modes nearer than half a bandwidth are one
+    borders = [lowest - 1, *(low.last for low in lows), max(samples)]
+    groups: list[list[tuple[_Stretch, int]]] = []
+    for high, after, up_to in zip(highs, borders[:-1], borders[1:], strict=True):
+        n_samples = sum(after < sample <= up_to for sample in samples)
+        if groups and high.middle - groups[-1][-1][0].middle < EIGHTHS / 2:
+            groups[-1].append((high, n_samples))
         else:
-            modes.append([mode])
-    return [
-        (max(group, key=itemgetter(1))[0], sum(count for _, _, count in group)) for group in modes
-    ]
+            groups.append([(high, n_samples)])
+    modes = []
+    for mode_group in groups:
+        highest = max((high for high, _ in mode_group), key=attrgetter("density"))
+        modes.append(Mode(highest.middle, sum(n_samples for _, n_samples in mode_group)))
+    return modes
 
 
-def main_mode(modes: list[tuple[float, int]]) -> tuple[float, int]:
+class _Stretch(NamedTuple):
+    """Bins of equal density."""
+
+    first: int
+    last: int
+    density: int
+
+    @property
+    def middle(self) -> float:
+        return (self.first + self.last) / 2
+
+
+class Mode(NamedTuple):
+    """A mode of a density."""
+
+    place: float
+    """In bins."""
+    n_samples: int
+
+
+def main_mode(modes: list[Mode]) -> Mode:
     """Return the mode with most samples, of equals the lowest, which is the first."""
-    return max(modes, key=itemgetter(1))
+    return max(modes, key=attrgetter("n_samples"))
 
 
 class Row:
@@ -100,22 +131,19 @@ class Row:
         here = self.xyz[beam]
         chord = self.xyz[self.ahead[beam]] - here
         sine_by_ranges = np.sqrt(np.sum(np.cross(here, chord) ** 2))
+        chord_squared = np.sum(chord**2)
+        range_m = np.sqrt(np.sum(here**2))
+        noise_deg = 57.29577951308232 * 1.4142135623730951 * self.thresholds.range_noise_m
         with np.errstate(all="ignore"):
-            sigma = (
-                57.29577951308232
-                * 1.4142135623730951
-                * self.thresholds.range_noise_m
-                * sine_by_ranges
-                / (np.sum(chord**2) * np.sqrt(np.sum(here**2)))
-            )
-        b = float(np.fmax(self.thresholds.bandwidth_deg, self.thresholds.bandwidth_sigmas * sigma))
-        return min(b, 180.0)
+            sigma_deg = noise_deg * sine_by_ranges / (chord_squared * range_m)
+        by_noise = self.thresholds.bandwidth_sigmas * sigma_deg
+        return min(float(np.fmax(self.thresholds.bandwidth_deg, by_noise)), 180.0)
 
     def bins(self, beams: list[int], b: float) -> list[int]:
-        """Bin line angles."""
+        """Bin line angles in eighths of a bandwidth [deg]."""
         last = math.ceil(360.0 * EIGHTHS / self.thresholds.bandwidth_deg)
-        angles = [self.phihat[beam] for beam in beams if not np.isnan(self.phihat[beam])]
-        return [min(max(math.floor(angle / (b / EIGHTHS)), 0), last) for angle in angles]
+        bins = [math.floor(self.phihat[beam] / (b / EIGHTHS)) for beam in self.sampled(beams)]
+        return [min(max(place, 0), last) for place in bins]
 
     def sampled(self, beams: list[int]) -> list[int]:
         """Return the beams that have a line angle."""
@@ -126,31 +154,30 @@ class Row:
         return [beam for beam, s in enumerate(self.surface) if beam > after and s != MISSING]
 
     def behind(self, points: list[int], after: int) -> int | None:
-        """Return the next beam of a surface, where there is one.
+        """Return the next beam of a surface, None where it ends.
 
-        a few that are not horizontal are passed over.
+        A few points that are not horizontal are passed over, if two behind them are on its line.
         """
         valid = self.valid(after)
-        passed = next(
-            (i for i, beam in enumerate(valid) if self.surface[beam] == HORIZONTAL), len(valid)
-        )
-        two = valid[passed : passed + 2]
-        if passed == 0:
+        n_passed = 0
+        while n_passed < len(valid) and self.surface[valid[n_passed]] != HORIZONTAL:
+            n_passed += 1
+        if n_passed == 0:
             return valid[0] if valid else None
-        if passed > self.thresholds.bridge or len(two) < 2:
+        next_two = valid[n_passed : n_passed + 2]
+        if n_passed > self.thresholds.bridge or len(next_two) < 2:
             return None
-        on_line = all(
-            self.surface[beam] == HORIZONTAL
-            and self.fits(points, beam, self.thresholds.bridge_height_m)
-            for beam in two
-        )
-        return two[0] if on_line else None
+        for beam in next_two:
+            is_horizontal = self.surface[beam] == HORIZONTAL
+            if not is_horizontal or not self.fits(points, beam, self.thresholds.bridge_height_m):
+                return None
+        return next_two[0]
 
     def jumps(self, before: list[int], beam: int) -> bool:
         """Tell whether a point lies at another height than the points before it."""
-        rise = abs(self.xyz[beam, 2] - self.xyz[before[-1], 2])
         jump_m = self.thresholds.jump_m
-        return bool(rise > jump_m) and not self.fits(before, beam, jump_m)
+        rise_m = abs(self.xyz[beam, 2] - self.xyz[before[-1], 2])
+        return bool(rise_m > jump_m) and not self.fits(before, beam, jump_m)
 
     def potential(self, start: int) -> tuple[list[int], float]:
         """Return the first potential ground from a beam on, and the bandwidth at its end."""
@@ -185,7 +212,8 @@ class Row:
                     size = len(sampled)
                     b = self.bandwidth(sampled[size // 2])
                 modes = grid_modes(self.bins(sampled, b))
-                has_one_mode = sum(count >= self.thresholds.mode_samples for _, count in modes) == 1
+                n_large = sum(mode.n_samples >= self.thresholds.mode_samples for mode in modes)
+                has_one_mode = n_large == 1
             if first and not has_one_mode:
                 return [], b
             first = False
@@ -202,8 +230,8 @@ class Row:
 
     def mode(self, beams: list[int], b: float) -> float:
         """Return the main mode of line angles [deg]."""
-        place, _ = main_mode(grid_modes(self.bins(beams, b)))
-        return (place + 0.5) * (b / EIGHTHS)
+        mode = main_mode(grid_modes(self.bins(beams, b)))
+        return (mode.place + 0.5) * (b / EIGHTHS)
 
     def fits(self, beams: list[int], beam: int, guard: float) -> bool:
         """Whether a point is on the local line."""
@@ -212,11 +240,11 @@ class Row:
         z = self.xyz[last, 2]
         mean_x = np.cumsum(x)[-1] / len(x)
         mean_z = np.cumsum(z)[-1] / len(z)
-        sxx = np.cumsum((x - mean_x) ** 2)[-1]
-        slope = np.cumsum((x - mean_x) * (z - mean_z))[-1] / (sxx + len(x) * guard * guard)
-        return bool(
-            abs(self.xyz[beam, 2] - (mean_z + slope * (self.horizontal[beam] - mean_x))) <= guard
-        )
+        sum_xx = np.cumsum((x - mean_x) ** 2)[-1]
+        sum_xz = np.cumsum((x - mean_x) * (z - mean_z))[-1]
+        slope = sum_xz / (sum_xx + len(x) * guard * guard)
+        line_z = mean_z + slope * (self.horizontal[beam] - mean_x)
+        return bool(abs(self.xyz[beam, 2] - line_z) <= guard)
 
     def grown(self, beams: list[int], new_beams: list[int], b: float) -> list[int]:
         """Add potential ground to the ground, and grow it over the next horizontal points."""
@@ -275,11 +303,8 @@ def main_height(
 ) -> tuple[int, float, I32, I32]:
     """Find the main mode of heights; see :func:`ground_loops.main_height`."""
     bins = [to_bin(height) for height in heights]
-    return (
-        *main_bin(bins, share, roof_m, roof_share),
-        np.array(bins, dtype=np.int32),
-        histogram_of(bins),
-    )
+    n_heights, place_m = main_bin(bins, share, roof_m, roof_share)
+    return n_heights, place_m, np.array(bins, dtype=np.int32), histogram_of(bins)
 
 
 def floor_m(bins: float, width: int) -> float:
@@ -304,34 +329,41 @@ def main_bin(
     median = sorted(heights)[(len(heights) - 1) // 2]
     width = max(1, math.ceil(share * abs(median + 0.5 + LOWEST_M * PER_METRE) / EIGHTHS))
     modes = grid_modes([height // width for height in heights])
-    place, count = main_mode(modes)
-    place, count = next(
-        (mode, n)
-        for mode, n in modes
-        if mode == place or (floor_m(place - mode, width) >= roof_m and n >= roof_share * count)
-    )
-    centre = math.floor((place + 0.5) * width)
+    main = main_mode(modes)
+    # a lower mode with enough heights is the ground, and the main one a roof over it
+    for mode in modes:
+        is_below_roof = floor_m(main.place - mode.place, width) >= roof_m
+        if mode.place == main.place or (
+            is_below_roof and mode.n_samples >= roof_share * main.n_samples
+        ):
+            main = mode
+            break
+
+    # mean shift, from bin to bin until it stays in one
+    centre = math.floor((main.place + 0.5) * width)
     for _ in range(20):
-        moment = mass = 0
+        moment = 0
+        mass = 0
         for height in heights:
             bins, remainder = divmod(abs(height - centre), width)
-            between = (weight(bins) * (width - remainder) + weight(bins + 1) * remainder) // width
+            near = weight(bins) * (width - remainder)
+            far = weight(bins + 1) * remainder
+            between = (near + far) // width
             moment += between * (height - centre)
             mass += between
         shift = moment / mass if mass else 0.0
         step = math.floor(shift + 0.5)
         if step == 0:
-            return count, (centre + 0.5 + shift) / PER_METRE + LOWEST_M
+            return main.n_samples, (centre + 0.5 + shift) / PER_METRE + LOWEST_M
         centre += step
-    return count, (centre + 0.5) / PER_METRE + LOWEST_M
+    return main.n_samples, (centre + 0.5) / PER_METRE + LOWEST_M
 
 
 def is_near(z: float, z_g: float, thresholds: GroundThresholds) -> bool:
     """Tell whether a height agrees with that of the ground."""
-    return (
-        abs(z - z_g) < thresholds.height_tolerance * abs(z_g)
-        or abs(z - z_g) < thresholds.height_tolerance_m
-    )
+    off_m = abs(z - z_g)
+    within_share = off_m < thresholds.height_tolerance * abs(z_g)
+    return within_share or off_m < thresholds.height_tolerance_m
 
 
 def ground_rows(
@@ -347,14 +379,21 @@ def ground_rows(
 ) -> tuple[Mask, F32, GroundState]:
     """Verify and grow ground (part b); see :func:`ground_loops.ground_rows`."""
     memory = thresholds.memory_heights
-    share = thresholds.height_bandwidth
     ground = np.zeros(surface.shape, dtype=bool)
     z_rows = np.full(len(surface), np.nan, dtype=np.float32)
-    heights = (
-        state.recent if memory else np.repeat(np.arange(len(state.histogram)), state.histogram)
-    ).tolist()
+    if memory:
+        heights = state.recent.tolist()
+    else:
+        heights = np.repeat(np.arange(len(state.histogram)), state.histogram).tolist()
     z_g = state.z_g
     side_m = state.side_m.tolist()
+
+    def ground_height() -> float:
+        _, place_m = main_bin(
+            heights, thresholds.height_bandwidth, thresholds.roof_m, thresholds.roof_share
+        )
+        return place_m
+
     for i in range(len(surface)):
         row = Row(surface[i], xyz[i], horizontal[i], phihat[i], ahead[i], n_beams[i], thresholds)
         to_count = i >= state.n_in_histogram_ahead
@@ -371,10 +410,11 @@ def ground_rows(
                 heights = [*heights, to_bin(z_i)][-memory:]
                 to_count = False
                 if len(heights) >= thresholds.least_heights or not math.isnan(z_g):
-                    z_g = main_bin(heights, share, thresholds.roof_m, thresholds.roof_share)[1]
+                    z_g = ground_height()
             follows = abs(z_i - side_m[side]) < thresholds.follow_m
             accepted = follows or is_near(z_i, z_g, thresholds)
-            z_row = z_i if accepted or math.isnan(z_row) else z_row
+            if accepted or math.isnan(z_row):
+                z_row = z_i
             if accepted:
                 side_m[side] = z_i
                 ground[i, grown_row(row, beams, b)] = True
@@ -384,30 +424,33 @@ def ground_rows(
         if to_count and not math.isnan(z_row):
             heights = [*heights, to_bin(z_row)][-memory:]
             if accepted or thresholds.renew_every:
-                z_g = main_bin(heights, share, thresholds.roof_m, thresholds.roof_share)[1]
+                z_g = ground_height()
         z_rows[i] = z_g
-    recent = np.array(heights if memory else [], dtype=np.int32)
-    ahead_still = max(state.n_in_histogram_ahead - len(surface), 0)
-    return (
-        ground,
-        z_rows,
-        GroundState(histogram_of(heights), recent, z_g, ahead_still, np.array(side_m)),
+    new_state = GroundState(
+        histogram_of(heights),
+        np.array(heights if memory else [], dtype=np.int32),
+        z_g,
+        max(state.n_in_histogram_ahead - len(surface), 0),
+        np.array(side_m),
     )
+    return ground, z_rows, new_state
 
 
 def grown_row(row: Row, beams: list[int], b: float) -> list[int]:
     """Grow potential ground, and look for more of it in the rest of its run."""
-    guard = row.thresholds.growth_height_m
     points = row.grown([], beams, b)
     row.surface = row.labels_of_run(points[-1])
-    more, b = row.potential(points[-1] + 1) if row.thresholds.resume else ([], b)
+    if not row.thresholds.resume:
+        return points
+    more, b = row.potential(points[-1] + 1)
     while more:
         start = more[-1] + 1
+        guard = row.thresholds.growth_height_m
         between = [k for k in row.valid(points[-1]) if k < more[0]]
         is_unbroken = all(row.surface[k] == HORIZONTAL for k in between)
-        if row.fits(
-            points, more[0], guard if is_unbroken else min(guard, row.thresholds.bridge_height_m)
-        ):
+        if not is_unbroken:
+            guard = min(guard, row.thresholds.bridge_height_m)
+        if row.fits(points, more[0], guard):
             points = row.grown(points, more, b)
             start = points[-1] + 1
         more, b = row.potential(start)

@@ -42,22 +42,23 @@ def first_triggers(
     threshold: float,
 ) -> I32:
     """Find the first trigger of every row; see :func:`labels_loops.first_triggers`."""
-    beams = []
-    for codes, n in zip(surface, n_beams, strict=True):
-        returns = np.flatnonzero(codes[:n])
-        beams.append(-1)
+    beams = np.full(len(n_beams), -1, np.int32)
+    for row, n in enumerate(n_beams):
+        codes = surface[row, :n]
+        returns = np.flatnonzero(codes)
         if len(returns) == 0:
             continue
         first = int(returns[0])
-        states = "".join(STATE.get(Surface(code), "x") for code in codes[first:n]).partition("x")[0]
-        steps = [float(increments["HVM".index(a), "HVM".index(b)]) for a, b in pairwise(states)]
+        states = "".join(STATE.get(Surface(code), "x") for code in codes[first:])
+        chain, _, _ = states.partition("x")
         total = 0.0
-        for position, step in enumerate(steps, start=1):
+        for position, (before, after) in enumerate(pairwise(chain), start=1):
+            step = float(increments["HVM".index(before), "HVM".index(after)])
             total = total + step if total + step > 0 else 0.0
             if total > threshold:
-                beams[-1] = first + position
+                beams[row] = first + position
                 break
-    return np.array(beams, np.int32).reshape(len(n_beams))
+    return beams
 
 
 def arrange_lines(
@@ -67,14 +68,14 @@ def arrange_lines(
     max_range_m: float,
 ) -> tuple[F32, F32, F32]:
     """Pick beams; see :func:`labels_loops.arrange_lines`."""
-    everything = np.concatenate([range_m[:, :, None], xyz_m], axis=2)
+    shots = np.concatenate([range_m[:, :, None], xyz_m], axis=2)
     with np.errstate(invalid="ignore"):
-        seen = (everything[:, :, 0].astype(np.float64) <= max_range_m) & ~np.isnan(xyz_m).any(
-            axis=2
-        )
-    everything[~seen] = np.nan
-    rows = np.concatenate([everything[:, side] for side in columns], axis=1)
-    rows[np.tile(columns.ravel() < 0, (len(range_m), 1))] = np.nan
+        is_within = shots[:, :, 0].astype(np.float64) <= max_range_m
+    is_within &= ~np.isnan(xyz_m).any(axis=2)
+    shots[~is_within] = np.nan
+    rows = np.concatenate([shots[:, side] for side in columns], axis=1)
+    has_no_column = np.tile(columns.ravel() < 0, (len(range_m), 1))
+    rows[has_no_column] = np.nan
     rows = rows.reshape(-1, columns.shape[1], 4)
     plan = rows[:, :, 1:3].astype(np.float64)
     horizontal = np.sqrt((plan * plan).sum(axis=2)).astype(np.float32)
@@ -107,9 +108,8 @@ def mark_cars(
     inside = np.zeros(surface.shape, np.bool_)
     for row, first, last in intervals.tolist():
         inside[row, first : last + 1] = True
-    on_ground = np.logical_and(
-        np.less(xyz_m[..., 2], low_m[:, None]), surface == Surface.HORIZONTAL
-    )
+    is_low = np.less(xyz_m[..., 2], low_m[:, None])
+    on_ground = np.logical_and(is_low, surface == Surface.HORIZONTAL)
     near = np.less_equal(horizontal_m, limit_m[:, None])
     marked: Mask = inside & near & ~on_ground
     return marked
@@ -128,23 +128,24 @@ def combine_classes(
     """Combine layers; see :func:`labels_loops.combine_classes`."""
     labels: U8 = np.take(label_of, surface)
     labels[ground] = Label.GROUND
-    for row, here in enumerate(curb):
-        if not here.any():
+    for row, on_curb in enumerate(curb):
+        if not on_curb.any():
             labels[row, car[row]] = Label.CAR
             continue
         distance = horizontal_m[row].astype(np.float64)
         height = xyz_m[row, :, 2].astype(np.float64)
-        nearest = distance[here].min()
-        top = height[here & (distance - nearest <= 0.3)].max()
+        curb_distance = distance[on_curb].min()
+        is_near_edge = on_curb & (distance - curb_distance <= 0.3)
+        curb_top = height[is_near_edge].max()
         for car_run in runs_of_cars(surface[row], car[row]):
-            level = [
-                k
-                for k in range(car_run[0])
-                if surface[row, k] == Surface.HORIZONTAL and not car[row, k]
-            ]
-            stands_on = min([*height[car_run].tolist(), *height[level[-1:]].tolist()])
+            # a car that stands higher than the curb, behind it, is none
+            foot = min(height[car_run].tolist())
+            for k in range(car_run[0] - 1, -1, -1):
+                if surface[row, k] == Surface.HORIZONTAL and not car[row, k]:
+                    foot = min([*height[car_run].tolist(), float(height[k])])
+                    break
             for k in car_run:
-                if stands_on < top - below_m or not distance[k] > nearest:
+                if foot < curb_top - below_m or not distance[k] > curb_distance:
                     labels[row, k] = Label.CAR
     labels[curb] = Label.CURB
     return labels
@@ -164,4 +165,5 @@ def runs_of_cars(surface: U8, car: Mask) -> list[list[int]]:
 def mark_beyond(range_m: F32, labels: U8) -> tuple[U8, int]:
     """Mark returns beyond the reach; see :func:`labels_loops.mark_beyond`."""
     beyond = np.logical_and(labels == Label.MISSING, ~np.isnan(range_m))
-    return np.where(beyond, np.uint8(Label.UNCLASSIFIED), labels), int(np.count_nonzero(beyond))
+    marked = np.where(beyond, np.uint8(Label.UNCLASSIFIED), labels)
+    return marked, int(np.count_nonzero(beyond))
