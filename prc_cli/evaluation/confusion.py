@@ -58,15 +58,16 @@ class ConfusionMatrix(Brief):
                 n_right += int(self.counts[row, columns[name]])
         return n_right
 
-    def __add__(self, other: ConfusionMatrix) -> ConfusionMatrix:
+    def __add__(self, matrix: ConfusionMatrix) -> ConfusionMatrix:
         """Add the counts of two matrices of the same classes."""
         names = (self.reference_names, self.predicted_names)
-        others = (other.reference_names, other.predicted_names)
-        if names != others:
-            problem = f"found the classes {others}, expected {names}"
+        names_of_matrix = (matrix.reference_names, matrix.predicted_names)
+        if names != names_of_matrix:
+            problem = f"found the classes {names_of_matrix}, expected {names}"
             where = "confusion matrix"
             raise InputError(where, problem, "use one class mapping for all parts")
-        return ConfusionMatrix(*names, self.counts + other.counts, self.n_ignored + other.n_ignored)
+        counts = self.counts + matrix.counts
+        return ConfusionMatrix(*names, counts, self.n_ignored + matrix.n_ignored)
 
     def row_shares(self) -> F64:
         """Divide every row by its sum: shares of a reference class, with recall on the diagonal."""
@@ -81,17 +82,21 @@ class ConfusionMatrix(Brief):
         rows = dict(zip(self.reference_names, self.counts.sum(axis=1), strict=True))
         columns = dict(zip(self.predicted_names, self.counts.sum(axis=0), strict=True))
         # a class used by either side keeps its row and its column: an empty one is informative
-        keep_row = np.array(
-            [bool(count) or _used(columns, name) for name, count in rows.items()], dtype=bool
-        )
-        keep_column = np.array(
-            [bool(count) or _used(rows, name) for name, count in columns.items()], dtype=bool
-        )
+        kept_rows = [
+            place
+            for place, (name, count) in enumerate(rows.items())
+            if count or (name != OTHER and columns.get(name, 0))
+        ]
+        kept_columns = [
+            place
+            for place, (name, count) in enumerate(columns.items())
+            if count or (name != OTHER and rows.get(name, 0))
+        ]
         return ConfusionMatrix(
-            tuple(np.array(self.reference_names, dtype=object)[keep_row]),
-            tuple(np.array(self.predicted_names, dtype=object)[keep_column]),
-            self.counts[np.ix_(keep_row, keep_column)],
-            self.n_ignored,
+            reference_names=tuple(self.reference_names[place] for place in kept_rows),
+            predicted_names=tuple(self.predicted_names[place] for place in kept_columns),
+            counts=self.counts[np.ix_(kept_rows, kept_columns)],
+            n_ignored=self.n_ignored,
         )
 
 
@@ -105,12 +110,16 @@ def accumulate(
     predicted = np.ravel(predicted_codes)
     reference = np.ravel(reference_codes)
     refuse_poor_match(predicted.size, reference.size)
+    rows = mapping.class_indices(reference, "reference")
     n_cells = state.counts.size
-    cells = cells_of(mapping, predicted, mapping.class_indices(reference, "reference"))
-    cell_counts = np.bincount(cells, minlength=n_cells + 1)
-    names = mapping.names("reference"), mapping.names("predicted")
-    counts = cell_counts[:n_cells].reshape(state.counts.shape).astype(np.int64)
-    return state + ConfusionMatrix(*names, counts, int(cell_counts[n_cells]))
+    cell_counts = np.bincount(cells_of(mapping, predicted, rows), minlength=n_cells + 1)
+    chunk = ConfusionMatrix(
+        reference_names=mapping.names("reference"),
+        predicted_names=mapping.names("predicted"),
+        counts=cell_counts[:n_cells].reshape(state.counts.shape).astype(np.int64),
+        n_ignored=int(cell_counts[n_cells]),
+    )
+    return state + chunk
 
 
 def refuse_poor_match(
@@ -121,17 +130,18 @@ def refuse_poor_match(
     hint: str = "",
 ) -> None:
     """Refuse two inputs that cannot be matched by order."""
-    if n_predicted != n_reference:
-        problem = (
-            f"{n_predicted} records, but {reference_name} holds {n_reference}; "
-            "matched by order needs equal counts"
-        )
-        usual = (
-            "give two label files of the same stream (LAS holds no shots without return); "
-            "labels of a part of it: --match time, "
-            "or label the whole and give --only-lines, --only-time or --first here"
-        )
-        raise InputError(predicted_name, problem, hint or usual)
+    if n_predicted == n_reference:
+        return
+    problem = (
+        f"{n_predicted} records, but {reference_name} holds {n_reference}; "
+        "matched by order needs equal counts"
+    )
+    usual_hint = (
+        "give two label files of the same stream (LAS holds no shots without return); "
+        "labels of a part of it: --match time, "
+        "or label the whole and give --only-lines, --only-time or --first here"
+    )
+    raise InputError(predicted_name, problem, hint or usual_hint)
 
 
 def shares(counts: I64, sums: I64) -> F64:
@@ -143,10 +153,6 @@ def shares(counts: I64, sums: I64) -> F64:
     result = np.full(np.broadcast_shapes(counts.shape, sums.shape), np.nan)
     np.divide(counts, sums, out=result, where=np.broadcast_to(sums != 0, result.shape))
     return result
-
-
-def _used(counts: dict[str, I64], name: str) -> bool:
-    return name != OTHER and bool(counts.get(name, 0))
 
 
 UNKNOWN = -1
@@ -161,26 +167,33 @@ class GroupedCounts:
     """Confusion counts by group, filled chunk by chunk."""
 
     def __init__(self, mapping: ClassMapping, what: str) -> None:
-        self._names = mapping.names("reference"), mapping.names("predicted")
+        self._row_names = mapping.names("reference")
+        self._column_names = mapping.names("predicted")
         self._what = what
-        self._row: dict[int, int] = {}
-        self._counts = np.zeros((4, len(self._names[0]) * len(self._names[1]) + 1), np.int64)
+        """What the groups are, for messages."""
+        self._place: dict[int, int] = {}
+        """Row of the counts by group."""
+        n_cells = len(self._row_names) * len(self._column_names)
+        self._counts = np.zeros((4, n_cells + 1), np.int64)
+        """The last column counts the pairs that are not scored."""
 
     @property
     def groups(self) -> tuple[int, ...]:
         """Groups with at least one pair, ascending."""
-        return tuple(sorted(self._row))
+        return tuple(sorted(self._place))
 
     def add(self, groups: I64, cells: I64) -> None:
-        """Count pairs."""
+        """Count pairs, each in a cell of the confusion matrix of its group, (n,) both."""
         if not len(groups):
             return
         n_cells = self._counts.shape[1]
         low = int(groups.min())
-        span = int(groups.max()) - int(groups.min()) + 1
-        if span * n_cells <= 4 * len(groups) + (1 << 16):
+        n_groups = int(groups.max()) - low + 1
+        if n_groups * n_cells <= 4 * len(groups) + (1 << 16):
+            # groups near each other are counted together, and the empty ones dropped
             cells_by_group = (groups - low) * n_cells + cells
-            counts = np.bincount(cells_by_group, minlength=span * n_cells).reshape(span, n_cells)
+            counts = np.bincount(cells_by_group, minlength=n_groups * n_cells)
+            counts = counts.reshape(n_groups, n_cells)
             present = np.flatnonzero(counts.any(axis=1))
             self._add(present + low, counts[present])
             return
@@ -190,42 +203,49 @@ class GroupedCounts:
         self._add(names, counts.reshape(len(names), n_cells))
 
     def _add(self, groups: I64, counts: I64) -> None:
-        for group in groups.tolist():
-            self._row.setdefault(group, len(self._row))
-        self._check(len(self._row))
-        if len(self._row) > len(self._counts):
-            more = np.zeros((2 * len(self._row), self._counts.shape[1]), np.int64)
-            more[: len(self._counts)] = self._counts
-            self._counts = more
-        self._counts[[self._row[group] for group in groups.tolist()]] += counts
+        places = [self._place.setdefault(group, len(self._place)) for group in groups.tolist()]
+        n_groups = len(self._place)
+        self._check(n_groups)
+        if n_groups > len(self._counts):
+            larger = np.zeros((2 * n_groups, self._counts.shape[1]), np.int64)
+            larger[: len(self._counts)] = self._counts
+            self._counts = larger
+        self._counts[places] += counts
 
-    def merge(self, other: GroupedCounts) -> None:
+    def merge(self, grouped: GroupedCounts) -> None:
         """Add the counts of another one for the same mapping."""
-        if other._row:
-            self._add(np.fromiter(other._row, np.int64), other._counts[list(other._row.values())])
+        if grouped._place:
+            places = list(grouped._place.values())
+            self._add(np.fromiter(grouped._place, np.int64), grouped._counts[places])
 
     def fold(self, into: Mapping[str, str]) -> None:
         """Add predicted classes to others, by name."""
-        rows, columns = self._names
-        cells = self._counts[:, :-1].reshape(-1, len(rows), len(columns))
-        for name, to in into.items():
-            cells[:, :, columns.index(to)] += cells[:, :, columns.index(name)]
-            cells[:, :, columns.index(name)] = 0
+        matrices = self._matrices(self._counts)
+        for name, target in into.items():
+            column = self._column_names.index(name)
+            matrices[:, :, self._column_names.index(target)] += matrices[:, :, column]
+            matrices[:, :, column] = 0
+
+    def _matrices(self, counts: I64) -> I64:
+        """Return a view of counts (n, cells + 1) as (n, rows, columns)."""
+        return counts[:, :-1].reshape(-1, len(self._row_names), len(self._column_names))
 
     def _check(self, n_groups: int) -> None:
         most = MAX_BYTES // (8 * self._counts.shape[1])
         if n_groups > most:
-            raise ConfigError(
-                self._what, f"more than {most} groups of pairs", "make the groups larger"
-            )
+            problem = f"more than {most} groups of pairs"
+            raise ConfigError(self._what, problem, "make the groups larger")
 
     def matrix(self, group: int) -> ConfusionMatrix:
         """Return the matrix of one group, empty if it has no pairs."""
-        row = self._row.get(group)
-        counts = np.zeros(self._counts.shape[1], np.int64) if row is None else self._counts[row]
-        rows, columns = self._names
+        counts = np.zeros((1, self._counts.shape[1]), np.int64)
+        if group in self._place:
+            counts = self._counts[self._place[group], None]
         return ConfusionMatrix(
-            rows, columns, counts[:-1].reshape(len(rows), len(columns)).copy(), int(counts[-1])
+            reference_names=self._row_names,
+            predicted_names=self._column_names,
+            counts=self._matrices(counts)[0].copy(),
+            n_ignored=int(counts[0, -1]),
         )
 
     def scored(self) -> I64:
@@ -233,9 +253,10 @@ class GroupedCounts:
 
         (groups, rows, columns) int64, by ascending group.
         """
-        rows, columns = self._names
-        counts = self._counts[[self._row[group] for group in self.groups], :-1]
-        return counts[counts.any(axis=1)].reshape(-1, len(rows), len(columns))
+        places = [self._place[group] for group in self.groups]
+        counts = self._counts[places]
+        has_scored = counts[:, :-1].any(axis=1)
+        return self._matrices(counts[has_scored])
 
 
 def cells_of(mapping: ClassMapping, predicted: NDArray[np.integer], rows: I64) -> I64:
@@ -244,20 +265,22 @@ def cells_of(mapping: ClassMapping, predicted: NDArray[np.integer], rows: I64) -
     ``predicted`` (n,) codes; ``rows`` (n,) int64, reference classes. The last cell counts the pairs
     that are not scored.
     """
-    column = mapping.class_indices(predicted, "predicted")
+    columns = mapping.class_indices(predicted, "predicted")
     n_rows = len(mapping.names("reference"))
     n_columns = len(mapping.names("predicted"))
-    return np.where((rows >= 0) & (column >= 0), rows * n_columns + column, n_rows * n_columns)
+    is_scored = (rows >= 0) & (columns >= 0)
+    return np.where(is_scored, rows * n_columns + columns, n_rows * n_columns)
 
 
 def check_edges(edges: Sequence[float]) -> F64:
     """Return the edges of range bins."""
     edges_m = np.asarray(edges, np.float64)
-    if not np.isfinite(edges_m).all() or (edges_m < 0).any() or (np.diff(edges_m) <= 0).any():
+    is_rising = (np.diff(edges_m) > 0).all()
+    if not np.isfinite(edges_m).all() or (edges_m < 0).any() or not is_rising:
         shown = ", ".join(f"{edge:g}" for edge in edges)
-        raise ConfigError(
-            "split by range", f"found the edges {shown}, expected ascending ranges of 0 m and above"
-        )
+        problem = f"found the edges {shown}, expected ascending ranges of 0 m and above"
+        where = "split by range"
+        raise ConfigError(where, problem)
     return edges_m
 
 
@@ -279,14 +302,17 @@ def range_bounds(group: int, edges: F64) -> tuple[str, float, float]:
     (('10-20 m', 10.0, 20.0), ('from 20 m', 20.0, inf))
     """
     low = 0.0 if group == 0 else float(edges[group - 1])
-    high = float(edges[group]) if group < len(edges) else math.inf
-    return (f"from {low:g} m" if math.isinf(high) else f"{low:g}-{high:g} m"), low, high
+    if group >= len(edges):
+        return f"from {low:g} m", low, math.inf
+    high = float(edges[group])
+    return f"{low:g}-{high:g} m", low, high
 
 
 def block_groups(file: I64, index: I64, per_block: int) -> I64:
     """Return one number for file and block; :data:`UNKNOWN` where the index is."""
     block = np.minimum(index // per_block, _MAX_INDEX - 1)
-    return np.where(index < 0, UNKNOWN, np.minimum(file, _MAX_FILES - 1) * _MAX_INDEX + block)
+    number = np.minimum(file, _MAX_FILES - 1) * _MAX_INDEX + block
+    return np.where(index < 0, UNKNOWN, number)
 
 
 def file_and_block(group: int) -> tuple[int, int]:
