@@ -6,10 +6,11 @@ count alike: 0 = equal, about 0.5 to 1 for ranges picked at random from a street
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,11 +45,15 @@ class LineSample:
         self._points_per_line = points_per_line
         usual = min(max(WINDOW_SHOTS // points_per_line, LEAST_LINES), MOST_LINES)
         self._n_lines = max(min(usual, MOST_SHOTS // points_per_line), 1)
+        """Lines of a window."""
         self._stride = 1
+        """Windows from one that is kept to the next."""
         self._first: int | None = None
         """Number of the first line of the stream."""
-        self._kept: dict[int, F32] = {}
-        self._open: dict[int, int] = {}
+        self._rows: dict[int, F32] = {}
+        """Ranges by number of the window."""
+        self._n_filled: dict[int, int] = {}
+        """Lines of every window that were read."""
         self.n_full = 0
         """Times that the sample has been full."""
 
@@ -56,41 +61,41 @@ class LineSample:
         """Add the next lines of the scanner."""
         if self._first is None:
             self._first = block.first_line
-        line = first = block.first_line - self._first
-        stop = line + block.n_lines
+        first = block.first_line - self._first
+        stop = first + block.n_lines
+        line = first
         while line < stop:
-            index = line // self._n_lines
-            end = min((index + 1) * self._n_lines, stop)
-            if index % self._stride == 0:
-                self._take(index, line, block.range_m[line - first : end - first])
-                line = end
+            number = line // self._n_lines
+            if number % self._stride == 0:
+                end = min((number + 1) * self._n_lines, stop)
+                self._add_rows(number, line, block.range_m[line - first : end - first])
             else:
-                line = min(-(-index // self._stride) * self._stride * self._n_lines, stop)
+                next_kept = -(-number // self._stride) * self._stride
+                end = min(next_kept * self._n_lines, stop)
+            line = end
 
-    def _take(self, index: int, line: int, rows: F32) -> None:
-        if index not in self._kept:
-            if len(self._kept) == N_WINDOWS:
-                self._thin()
-                if index % self._stride:
+    def _add_rows(self, number: int, line: int, rows: F32) -> None:
+        """Add lines of a window; a full sample keeps every other window."""
+        if number not in self._rows:
+            if len(self._rows) == N_WINDOWS:
+                self._stride *= 2
+                for dropped in [kept for kept in self._rows if kept % self._stride]:
+                    del self._rows[dropped], self._n_filled[dropped]
+                if number % self._stride:
                     return
-            self._kept[index] = np.empty((self._n_lines, self._points_per_line), np.float32)
-        first_row = line - index * self._n_lines
-        self._kept[index][first_row : first_row + len(rows)] = rows
-        self._open[index] = first_row + len(rows)
-        if len(self._kept) == N_WINDOWS and self._open[index] == self._n_lines:
+            self._rows[number] = np.empty((self._n_lines, self._points_per_line), np.float32)
+        first_row = line - number * self._n_lines
+        self._rows[number][first_row : first_row + len(rows)] = rows
+        self._n_filled[number] = first_row + len(rows)
+        if len(self._rows) == N_WINDOWS and self._n_filled[number] == self._n_lines:
             self.n_full += 1
-
-    def _thin(self) -> None:
-        self._stride *= 2
-        for index in [number for number in self._kept if number % self._stride]:
-            del self._kept[index], self._open[index]
 
     def windows(self) -> tuple[Window, ...]:
         """Return the windows in the order of the stream; the last may be shorter."""
         first = self._first or 0
         return tuple(
-            Window(first + index * self._n_lines, rows[: self._open[index]])
-            for index, rows in sorted(self._kept.items())
+            Window(first + number * self._n_lines, rows[: self._n_filled[number]])
+            for number, rows in sorted(self._rows.items())
         )
 
 
@@ -111,20 +116,15 @@ AS_FAR = 0.2
 LEAST_ROUGH = 100
 """Shots that are this much off the mean of their neighbours are leaves or edges.
 
-They are seen again where the next line is
-nearer than so much of that; fewer tell nothing."""
+They are seen again where the next line is nearer than so much of that; fewer tell nothing."""
 LIKE = 0.02
+"""Shots are as far as one another within this share."""
 MOST_ALONE = 0.5
-"""Shots are as far as one another within this share.
-
-Flakes are fewer than this share of all shots.
-"""
+"""Flakes are fewer than this share of all shots."""
 AROUND_SHOT = tuple(
     (line, column) for line in (-1, 0, 1) for column in (-1, 0, 1) if line or column
 )
 """Lines and columns of the shots around one."""
-AROUND = 5
-"""A shot and two on either side."""
 _SEED = 7
 
 
@@ -178,16 +178,23 @@ def middle(values: Iterable[float]) -> float:
 
 def figures_of(windows: tuple[Window, ...]) -> Figures:
     """Measure a sample of lines."""
-    logs = [np.log(rows) for rows in spread(windows)]
+    ranges = spread(windows)
+    logs = [np.log(rows) for rows in ranges]
     by_lag = [
         middle(likeness(rows[:-lag], rows[lag:]) for rows in logs)
         for lag in range(1, LINE_LAGS + 1)
     ]
+    # runs of the first half of the stream, each with one of the second half
     half = len(logs) // 2
-    opposite = zip(logs[: len(logs) - half], logs[half:], strict=True)
-    pairs = [(a[: len(b)], b[: len(a)]) for a, b in opposite if a is not b]
-    missing = [_lonely(rows) for rows in logs]
-    n_between = sum(n for _, n in missing)
+    far_apart = []
+    for early, late in zip(logs[: len(logs) - half], logs[half:], strict=True):
+        if early is not late:
+            far_apart.append(likeness(early[: len(late)], late[: len(early)], MOVED))
+    between = [_between_smooth(rows) for rows in logs]
+    n_between = sum(counts.n for counts in between)
+    lonely_missing = float("nan")
+    if n_between:
+        lonely_missing = sum(counts.n_missing for counts in between) / n_between
     return Figures(
         random=middle(_random_likeness(rows) for rows in logs),
         shot=(
@@ -198,18 +205,23 @@ def figures_of(windows: tuple[Window, ...]) -> Figures:
         reversed_line=middle(likeness(rows[:-1], rows[1:, ::-1]) for rows in logs),
         moved=(
             middle(likeness(rows[:-1], rows[1:], MOVED) for rows in logs),
-            middle(likeness(a, b, MOVED) for a, b in pairs),
+            middle(far_apart),
         ),
-        noise_m=middle(_noise(window) for window in spread(windows)),
-        roughness=middle(
-            likeness(rows[:, 1:-1], (rows[:, :-2] + rows[:, 2:]) / 2) for rows in logs
+        noise_m=middle(
+            likeness(rows[:, 1:-1], _neighbours_mean(rows), LEAST_OFF) / LEAST_OFF_SIGMA
+            for rows in ranges
         ),
-        again=middle(_again(rows) for rows in logs),
-        lonely_missing=sum(lonely for lonely, _ in missing) / n_between
-        if n_between
-        else float("nan"),
+        roughness=middle(likeness(rows[:, 1:-1], _neighbours_mean(rows)) for rows in logs),
+        again=middle(_share_again(rows) for rows in logs),
+        lonely_missing=lonely_missing,
         n_between=n_between,
     )
+
+
+def _neighbours_mean(rows: NDArray[Any]) -> NDArray[Any]:
+    """Return the mean of the two neighbours in the line, (lines, M - 2)."""
+    mean: NDArray[Any] = (rows[:, :-2] + rows[:, 2:]) / 2
+    return mean
 
 
 def without_lonely(windows: tuple[Window, ...]) -> tuple[Window, ...] | None:
@@ -224,24 +236,24 @@ def without_lonely(windows: tuple[Window, ...]) -> tuple[Window, ...] | None:
     n_lonely = 0
     n_known = 0
     for window in windows:
-        lonely = _alone(window.range_m)
-        n_lonely += int(np.count_nonzero(lonely))
-        n_known += int(np.count_nonzero(np.isfinite(window.range_m)))
-        cleared.append(
-            replace(window, range_m=np.where(lonely, np.float32(np.nan), window.range_m))
-        )
+        is_known = np.isfinite(window.range_m)
+        is_lonely = is_known & ~_has_like(window.range_m)
+        n_lonely += int(np.count_nonzero(is_lonely))
+        n_known += int(np.count_nonzero(is_known))
+        range_m = np.where(is_lonely, np.float32(np.nan), window.range_m)
+        cleared.append(replace(window, range_m=range_m))
     return tuple(cleared) if n_lonely < MOST_ALONE * n_known else None
 
 
-def _alone(range_m: F32) -> Mask:
-    """Mark shots unlike all around, (lines, M) bool."""
+def _has_like(range_m: F32) -> Mask:
+    """Mark shots like one of the eight around, (lines, M) bool."""
     logs = np.pad(np.log(range_m), 1, constant_values=np.nan)
-    lines, m = range_m.shape
+    n_lines, m = range_m.shape
     has_like = np.zeros(range_m.shape, np.bool_)
     for line, column in AROUND_SHOT:
-        there = logs[1 + line : 1 + line + lines, 1 + column : 1 + column + m]
-        has_like |= np.abs(there - logs[1:-1, 1:-1]) < LIKE
-    return np.isfinite(range_m) & ~has_like
+        neighbours = logs[1 + line : 1 + line + n_lines, 1 + column : 1 + column + m]
+        has_like |= np.abs(neighbours - logs[1:-1, 1:-1]) < LIKE
+    return has_like
 
 
 def spread(windows: tuple[Window, ...]) -> list[F32]:
@@ -250,14 +262,17 @@ def spread(windows: tuple[Window, ...]) -> list[F32]:
     A short stream is cut into as many.
     """
     n = min(len(windows), MOST_RUNS)
-    chosen = [windows[round(i * (len(windows) - 1) / max(n - 1, 1))].range_m for i in range(n)]
-    n_runs = -(-MOST_RUNS // max(n, 1))
+    n_runs_each = -(-MOST_RUNS // max(n, 1))
     runs = []
-    for rows in chosen:
-        length = max(len(rows) // n_runs, 2 * LINE_LAGS)
+    for i in range(n):
+        rows = windows[round(i * (len(windows) - 1) / max(n - 1, 1))].range_m
+        step = max(len(rows) // n_runs_each, 2 * LINE_LAGS)
         n_lines = max(SHOTS_EACH // rows.shape[1], LINE_LAGS) + LINE_LAGS
-        runs += [rows[i : i + min(length, n_lines)] for i in range(0, len(rows), length)]
-    return [rows for rows in runs if len(rows) > LINE_LAGS]
+        for first in range(0, len(rows), step):
+            run = rows[first : first + min(step, n_lines)]
+            if len(run) > LINE_LAGS:
+                runs.append(run)
+    return runs
 
 
 def _shot_likeness(rows: F32, lag: int) -> float:
@@ -282,21 +297,15 @@ def _random_likeness(rows: F32) -> float:
     return likeness(known, np.random.default_rng(_SEED).permutation(known))
 
 
-def _again(rows: F32) -> float:
+def _share_again(rows: F32) -> float:
     """Return the share of the rough shots whose next line is as far."""
-    rough = np.abs(rows[:-1, 1:-1] - (rows[:-1, :-2] + rows[:-1, 2:]) / 2)
+    rough = np.abs(rows[:-1, 1:-1] - _neighbours_mean(rows[:-1]))
     off = np.abs(rows[1:, 1:-1] - rows[:-1, 1:-1])
     with np.errstate(invalid="ignore"):
-        counted = (rough > ROUGH) & np.isfinite(off)
-        n_again = np.count_nonzero(counted & (off < AS_FAR * rough))
-    n = np.count_nonzero(counted)
-    return n_again / n if n >= LEAST_ROUGH else float("nan")
-
-
-def _noise(range_m: F32) -> float:
-    """Return the noise that the least deviations from the mean of the neighbours suggest."""
-    off = likeness(range_m[:, 1:-1], (range_m[:, :-2] + range_m[:, 2:]) / 2, LEAST_OFF)
-    return off / LEAST_OFF_SIGMA
+        is_counted = (rough > ROUGH) & np.isfinite(off)
+        n_again = np.count_nonzero(is_counted & (off < AS_FAR * rough))
+    n_counted = np.count_nonzero(is_counted)
+    return n_again / n_counted if n_counted >= LEAST_ROUGH else float("nan")
 
 
 LEAST_OFF = 0.05
@@ -307,19 +316,28 @@ The middle of two neighbours has noise too.
 """
 
 
-def _lonely(rows: F32) -> tuple[int, int]:
-    """Count missing shots between two smooth neighbours on either side, and all such shots."""
-    if rows.shape[1] < AROUND:
-        return 0, 0
-    left, near_left, middle_shot, near_right, right = (
-        rows[:, i : rows.shape[1] - AROUND + 1 + i] for i in range(AROUND)
-    )
+class _BetweenSmooth(NamedTuple):
+    """Counts of shots between two smooth neighbours on either side."""
+
+    n: int
+    n_missing: int
+
+
+def _between_smooth(rows: F32) -> _BetweenSmooth:
+    # a shot and two on either side
+    if rows.shape[1] < 5:
+        return _BetweenSmooth(0, 0)
+    left = rows[:, :-4]
+    near_left = rows[:, 1:-3]
+    shot = rows[:, 2:-2]
+    near_right = rows[:, 3:-1]
+    right = rows[:, 4:]
     with np.errstate(invalid="ignore"):
-        smooth: Mask = (np.abs(near_left - near_right) < SMOOTH) & (
-            np.abs(left - near_left) < SMOOTH
-        )
-        smooth &= np.abs(right - near_right) < SMOOTH
-    return int(np.count_nonzero(smooth & np.isnan(middle_shot))), int(np.count_nonzero(smooth))
+        is_smooth: Mask = np.abs(near_left - near_right) < SMOOTH
+        is_smooth &= np.abs(left - near_left) < SMOOTH
+        is_smooth &= np.abs(right - near_right) < SMOOTH
+    n_missing = int(np.count_nonzero(is_smooth & np.isnan(shot)))
+    return _BetweenSmooth(int(np.count_nonzero(is_smooth)), n_missing)
 
 
 def fold(windows: tuple[Window, ...], points_per_line: int) -> float:
@@ -337,12 +355,10 @@ def fold(windows: tuple[Window, ...], points_per_line: int) -> float:
         n_lines = min((len(flat) - first) // points_per_line, FOLD_LINES)
         if n_lines < FOLD_LINES // 2:
             continue
-        lines = flat[first : first + n_lines * points_per_line].reshape(n_lines, points_per_line)[
-            :, ::step
-        ]
-        profiles.append(_profile(lines))
-    offs = [_profile_off(a, b) for i, a in enumerate(profiles) for b in profiles[i + 1 :]]
-    return middle(offs)
+        lines = flat[first : first + n_lines * points_per_line].reshape(n_lines, points_per_line)
+        profiles.append(_profile(lines[:, ::step]))
+    pairs = itertools.combinations(profiles, 2)
+    return middle(_profile_off(early, late) for early, late in pairs)
 
 
 def pieces(windows: tuple[Window, ...]) -> list[Window]:
@@ -350,19 +366,17 @@ def pieces(windows: tuple[Window, ...]) -> list[Window]:
 
     At even ones a wrong length may shift them by whole turns.
     """
-    n_pieces = -(-FOLD_PIECES // max(len(windows), 1))
+    n_each = -(-FOLD_PIECES // max(len(windows), 1))
+    n_piece = FOLD_LINES + 1
     places: list[Window] = []
     for window in windows:
-        n_lines = len(window.range_m) // n_pieces
-        spare = max(n_lines - FOLD_LINES - 1, 0)
-        for i in range(n_pieces):
+        n_lines = len(window.range_m) // n_each
+        spare = max(n_lines - n_piece, 0)
+        for i in range(n_each):
             start = i * n_lines + int(spare * (GOLDEN * (len(places) + 1) % 1.0))
-            if start + FOLD_LINES + 1 <= len(window.range_m):
-                places.append(
-                    Window(
-                        window.first_line + start, window.range_m[start : start + FOLD_LINES + 1]
-                    )
-                )
+            rows = window.range_m[start : start + n_piece]
+            if len(rows) == n_piece:
+                places.append(Window(window.first_line + start, rows))
     return places
 
 
@@ -402,27 +416,32 @@ def most_turned(windows: tuple[Window, ...]) -> Turned | None:
     None for short streams.
     """
     places = pieces(windows)
+    if not places:
+        return None
     turns: list[Turned] = []
-    step = max(places[0].range_m.shape[1] // TURN_COLUMNS, 1) if places else 1
+    step = max(places[0].range_m.shape[1] // TURN_COLUMNS, 1)
     profiles = [_profile(place.range_m[:FOLD_LINES, ::step]) for place in places]
+    n = len(profiles[0])
     for i in range(len(places) - 1):
-        first = profiles[i]
-        second = profiles[i + 1]
-        n = len(first)
-        offs = _offs_of_shifts(first, second)
+        offs = _offs_of_shifts(profiles[i], profiles[i + 1])
         if not offs[0] > 0:
             continue
         best = int(np.nanargmin(offs))
-        share = (best if best <= n // 2 else best - n) / n
-        if abs(share) >= LEAST_TURN:
-            line = places[i + 1].first_line
-            gain = float(offs[best] / offs[0])
-            turns.append(Turned(line, -share, gain, line - places[i].first_line))
+        shift = best if best <= n // 2 else best - n
+        if abs(shift / n) < LEAST_TURN:
+            continue
+        line = places[i + 1].first_line
+        turn = Turned(
+            line=line,
+            share=-(shift / n),
+            gain=float(offs[best] / offs[0]),
+            distance=line - places[i].first_line,
+        )
+        turns.append(turn)
     if not turns:
         return None
-    return replace(
-        min(turns, key=lambda turn: turn.gain), n_places=sum(turn.gain < TURNED for turn in turns)
-    )
+    clearest = min(turns, key=lambda turn: turn.gain)
+    return replace(clearest, n_places=sum(turn.gain < TURNED for turn in turns))
 
 
 def _offs_of_shifts(first: F64, second: F64) -> F64:
@@ -430,15 +449,18 @@ def _offs_of_shifts(first: F64, second: F64) -> F64:
 
     NaN with too few ranges.
     """
-    n = len(first)
-    column = np.arange(n)
-    shifted = second[(column - column[:, None]) % n]
+    column = np.arange(len(first))
+    shifted = second[(column - column[:, None]) % len(first)]
     known = np.isfinite(first) | np.isfinite(shifted)
-    off = np.abs(first - shifted)
-    off = np.minimum(np.where(np.isfinite(off), off, MISSING_OFF), MISSING_OFF)
     n_known = np.count_nonzero(known, axis=1)
-    total: F64 = np.where(known, off, 0.0).sum(axis=1)
+    total: F64 = np.where(known, _column_offs(first, shifted), 0.0).sum(axis=1)
     return np.where(n_known >= LEAST_KNOWN, total / np.maximum(n_known, 1), np.nan)
+
+
+def _column_offs(first: F64, second: F64) -> F64:
+    """Return the difference of every column, at most :data:`MISSING_OFF`."""
+    off = np.abs(first - second)
+    return np.minimum(np.where(np.isfinite(off), off, MISSING_OFF), MISSING_OFF)
 
 
 TURN_COLUMNS = 256
@@ -454,24 +476,19 @@ LEAST_TURN = 0.03
 
 def _profile(lines: F32) -> F64:
     """Return the logarithm of the median range of every column, NaN where most lines miss it."""
+    n_known = np.count_nonzero(np.isfinite(lines), axis=0)
     ordered = np.sort(lines, axis=0)  # NaN sorts last
-    held = np.count_nonzero(np.isfinite(lines), axis=0)
-    median: F64 = ordered[np.maximum(held - 1, 0) // 2, np.arange(lines.shape[1])].astype(
-        np.float64
-    )
-    return np.where(2 * held > len(lines), np.log(median), np.nan)
+    middle_row = np.maximum(n_known - 1, 0) // 2
+    median: F64 = ordered[middle_row, np.arange(lines.shape[1])].astype(np.float64)
+    return np.where(2 * n_known > len(lines), np.log(median), np.nan)
 
 
 def _profile_off(first: F64, second: F64) -> float:
-    """Return the mean difference of two profiles, at most :data:`MISSING_OFF` a column.
-
-    NaN with too few.
-    """
+    """Return the mean difference of two profiles; NaN with too few columns."""
     known = np.isfinite(first) | np.isfinite(second)
     if np.count_nonzero(known) < LEAST_KNOWN:
         return float("nan")
-    off = np.abs(first[known] - second[known])
-    return float(np.minimum(np.where(np.isfinite(off), off, MISSING_OFF), MISSING_OFF).mean())
+    return float(_column_offs(first[known], second[known]).mean())
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prc_cli.core.types import F32, F64
+from prc_cli.core.types import F32, F64, I64
 from prc_cli.streams.columns import StampState, spread_stamps
 from prc_cli.streams.down import wrap
 
@@ -69,10 +69,10 @@ def estimate_points_per_line(range_m: F32, max_m: int = 65_536) -> PeriodEstimat
     with np.errstate(invalid="ignore"):
         valid = np.isfinite(flat) & (flat > 0)
     max_lag = min(max_m, len(flat) // MIN_LINES)
-    if np.count_nonzero(valid) < 100 or max_lag < 4:
-        return PeriodEstimate(
-            None, 0.0, len(flat), f"too few ranges: {np.count_nonzero(valid)} of {len(flat)} shots"
-        )
+    n_valid = np.count_nonzero(valid)
+    if n_valid < 100 or max_lag < 4:
+        reason = f"too few ranges: {n_valid} of {len(flat)} shots"
+        return PeriodEstimate(None, 0.0, len(flat), reason)
     logs = np.log(np.where(valid, flat, 1.0))
     # limit the weight of outliers
     low, middle, high = np.percentile(logs[valid], (1, 50, 99))
@@ -80,9 +80,8 @@ def estimate_points_per_line(range_m: F32, max_m: int = 65_536) -> PeriodEstimat
     signal[valid] -= signal[valid].mean()
     if not signal.any():
         return PeriodEstimate(None, 0.0, len(flat), "all ranges are equal")
-    correlation = _autocorrelation(
-        signal, _MULTIPLES * max_lag + max_lag // 2, valid.astype(np.float64)
-    )
+    n_lags = _MULTIPLES * max_lag + max_lag // 2
+    correlation = _autocorrelation(signal, n_lags, valid.astype(np.float64))
     period = _fundamental(correlation[: max_lag + 1])
     strength = _comb(correlation, period) if period else 0.0
     looked = f"{len(flat)} shots, lines of up to {max_lag}"
@@ -107,13 +106,16 @@ def _autocorrelation(signal: F64, n_lags: int, valid: F64 | None = None) -> F64:
     With ``valid`` it is that of the valid pairs, -1 to 1; else 1 at lag 0.
     """
     fft = np.fft  # that of SciPy takes 25 MiB more
+    # the least size that is a power of two times a small odd number: transforms of it are fast
     least_size = len(signal) + n_lags + 1
     size = min(odd << max(-(-least_size // odd) - 1, 0).bit_length() for odd in (1, 3, 5, 9, 15))
     products = fft.irfft(np.abs(fft.rfft(signal, size)) ** 2, size)[: n_lags + 1]
     if valid is None:
         # free of the length of the overlap
         products /= len(signal) - np.arange(n_lags + 1)
-        scaled: F64 = products / products[0] if products[0] > 0 else np.zeros(n_lags + 1)
+        if not products[0] > 0:
+            return np.zeros(n_lags + 1)
+        scaled: F64 = products / products[0]
         return scaled
     of_valid = fft.rfft(valid, size)
     of_energy = fft.rfft(signal * signal, size)
@@ -131,10 +133,10 @@ def _fundamental(correlation: F64) -> int:
 
     0 if none.
     """
-    dip = np.minimum.accumulate(correlation)
-    rise = correlation - dip
+    rise = correlation - np.minimum.accumulate(correlation)
     inner = correlation[1:-1]
-    peaks = np.flatnonzero((inner >= correlation[:-2]) & (inner > correlation[2:])) + 1
+    is_peak = (inner >= correlation[:-2]) & (inner > correlation[2:])
+    peaks = np.flatnonzero(is_peak) + 1
     if not len(peaks):
         return 0
     highest = rise[peaks].max()
@@ -148,10 +150,13 @@ def _fundamental(correlation: F64) -> int:
 def _comb(correlation: F64, period: int) -> float:
     """Return the least rise at the first multiples of the period above the dip before each."""
     reach = max(period // 50, 1)
+    n_multiples = min(_MULTIPLES_SEEN, (len(correlation) - 1 - reach) // period)
     rises = []
-    for k in range(1, min(_MULTIPLES_SEEN, (len(correlation) - 1 - reach) // period) + 1):
-        highest = correlation[max(k * period - reach, 1) : k * period + reach + 1].max()
-        rises.append(highest - correlation[(k - 1) * period : k * period].min())
+    for k in range(1, n_multiples + 1):
+        first = max(k * period - reach, 1)
+        highest = correlation[first : k * period + reach + 1].max()
+        lowest = correlation[(k - 1) * period : k * period].min()
+        rises.append(highest - lowest)
     return float(min(rises))
 
 
@@ -163,10 +168,11 @@ def _refine(correlation: F64, period: int) -> int:
         reach = max(round(0.75 * k), 2)
         if centre + reach >= len(correlation) or reach * 4 > period:
             break
-        window = correlation[centre - reach : centre + reach + 1]
+        first = centre - reach
+        window = correlation[first : centre + reach + 1]
         if window.max() < 0.5 * correlation[period]:
             break
-        refined = (centre - reach + int(np.argmax(window))) / k
+        refined = (first + int(np.argmax(window))) / k
     return round(refined)
 
 
@@ -184,9 +190,9 @@ def estimate_line_frequency(time_s: F64) -> float | None:
     steps = steps[steps > 0]
     if len(steps) < 2:
         return None
-    period_s = float(np.median(steps))
-    n_lines = np.rint(steps / period_s)
-    is_even = (n_lines >= 1) & (np.abs(steps / period_s - n_lines) < 0.1 * np.maximum(n_lines, 1))
+    periods = steps / float(np.median(steps))
+    n_lines = np.rint(periods)
+    is_even = (n_lines >= 1) & (np.abs(periods - n_lines) < 0.1 * np.maximum(n_lines, 1))
     if np.count_nonzero(is_even) < 0.8 * len(steps):
         return None
     return round(float(n_lines[is_even].sum() / steps[is_even].sum()), 9)
@@ -210,21 +216,15 @@ class RangeCorrelation:
         if not np.isfinite(self.ratio):
             return f"{self.n_pairs} neighbouring ranges are too few, or too similar, to judge"
         if self.ratio < 0.3:
-            said = (
-                "neighbouring shots have similar ranges",
-                "as expected in the order of firing",
-            )
+            finding = "neighbouring shots have similar ranges"
+            meaning = "as expected in the order of firing"
         elif self.ratio < 0.7:
-            said = (
-                "neighbouring ranges are only loosely alike",
-                "the order may be wrong, or the scene very rough",
-            )
+            finding = "neighbouring ranges are only loosely alike"
+            meaning = "the order may be wrong, or the scene very rough"
         else:
-            said = (
-                "neighbouring ranges differ as much as random pairs",
-                "the records are not in the order of firing",
-            )
-        return f"{said[0]} (ratio {self.ratio:.2g}): {said[1]}"
+            finding = "neighbouring ranges differ as much as random pairs"
+            meaning = "the records are not in the order of firing"
+        return f"{finding} (ratio {self.ratio:.2g}): {meaning}"
 
 
 def range_correlation(range_m: F32, seed: int = 0) -> RangeCorrelation:
@@ -232,13 +232,15 @@ def range_correlation(range_m: F32, seed: int = 0) -> RangeCorrelation:
     flat = np.ravel(range_m)
     valid = np.isfinite(flat)
     step = np.abs(np.diff(flat))[valid[1:] & valid[:-1]]
-    values = flat[valid]
     if len(step) < 100:
         return RangeCorrelation(float("nan"), len(step))
+    values = flat[valid]
     n_random = min(len(values), RANDOM_PAIRS)
-    pairs = np.random.default_rng(seed).integers(0, len(values), size=(2, n_random))
-    random_step = float(np.median(np.abs(values[pairs[0]] - values[pairs[1]])))
-    ratio = float(np.median(step)) / random_step if random_step > 0 else float("nan")
+    first, second = np.random.default_rng(seed).integers(0, len(values), size=(2, n_random))
+    random_step = float(np.median(np.abs(values[first] - values[second])))
+    ratio = float("nan")
+    if random_step > 0:
+        ratio = float(np.median(step)) / random_step
     return RangeCorrelation(ratio, len(step))
 
 
@@ -294,9 +296,22 @@ class TimedScan:
 
 
 def measure_rates(time_s: F64, height: F64 | None = None) -> TimedScan | None:
-    """Measure the rates of a scanner."""
-    use = np.isfinite(time_s)
-    time_s = time_s[use]
+    """Measure the rates of a scanner from the times of its returns, and from their heights.
+
+    Parameters
+    ----------
+    time_s
+        (n,) float64 [s]; NaN = unknown.
+    height
+        (n,) float64 [m].
+
+    Returns
+    -------
+    TimedScan or None
+        None if the times go back or show no lines.
+    """
+    known = np.isfinite(time_s)
+    time_s = time_s[known]
     if len(time_s) < LEAST_RETURNS or np.any(np.diff(time_s) < 0):
         return None
     shot_s = shot_period(time_s)
@@ -304,34 +319,33 @@ def measure_rates(time_s: F64, height: F64 | None = None) -> TimedScan | None:
         return None
     stop = int(np.searchsorted(time_s, time_s[0] + MAX_BINS * shot_s))
     time_s = time_s[:stop]
-    use = np.flatnonzero(use)[:stop]
     # a rounded stamp is the time of the shots fired after it
     spread_s, _, _ = spread_stamps(time_s, 1 / shot_s, StampState())
-    bins = np.maximum.accumulate(np.rint((spread_s - time_s[0]) / shot_s).astype(np.int64))
+    shots = np.rint((spread_s - time_s[0]) / shot_s).astype(np.int64)
+    bins = np.maximum.accumulate(shots)
     n = int(bins[-1]) + 1
     returns = np.bincount(bins, minlength=n).astype(np.float64)
-    filled = np.minimum(returns, 1.0)
     signals = [returns - returns.mean()]
     if height is not None:
-        tall = height[use]
-        signals.append(_deviation(bins, np.where(np.isfinite(tall), tall, np.nanmedian(tall)), n))
+        known_height = height[np.flatnonzero(known)[:stop]]
+        usual = np.nanmedian(known_height)
+        known_height = np.where(np.isfinite(known_height), known_height, usual)
+        signals.append(_deviation(bins, known_height, n))
     correlation = np.mean([_autocorrelation(signal, n - 1) for signal in signals], axis=0)
     lag = _first_peak(correlation, int(n / LEAST_LINES))
     if lag is None:
         return None
-    strength = float(correlation[lag])
     period = _refine_period(correlation, lag)
-    begin = _begin(bins, period, filled)
+    begin = _begin(np.minimum(returns, 1.0), period)
     # at or before the first return
     origin = begin - period * math.ceil(begin / period)
-    share = float(len(np.unique(bins))) / n
     return TimedScan(
-        1 / shot_s,
-        1 / (period * shot_s),
-        float(time_s[0] + origin * shot_s),
-        n / period,
-        strength,
-        share,
+        shot_hz=1 / shot_s,
+        line_hz=1 / (period * shot_s),
+        time_origin_s=float(time_s[0] + origin * shot_s),
+        n_lines=n / period,
+        strength=float(correlation[lag]),
+        share=float(len(np.unique(bins))) / n,
     )
 
 
@@ -354,40 +368,46 @@ def measure_sweeps(time_s: F64, angle_rad: F64) -> TimedScan | None:
     shot_s = shot_period(time_s)
     if not shot_s > 0:
         return None
-    step = wrap(np.diff(angle_rad))
-    way = math.copysign(1.0, float(np.sign(step).sum()))
+    # the times at which the sweep passes the direction that returns most
+    way = math.copysign(1.0, float(np.sign(wrap(np.diff(angle_rad))).sum()))
     count, edges = np.histogram(wrap(angle_rad), _DIRECTIONS, (-math.pi, math.pi))
     busiest = int(np.argmax(count))
     away = way * wrap(angle_rad - 0.5 * float(edges[busiest] + edges[busiest + 1]))
-    # where the sweep passes the direction that returns most
-    passages = np.flatnonzero(
-        (away[:-1] < 0) & (away[1:] >= 0) & (away[1:] - away[:-1] < _PASSING_RAD)
-    )
-    share = -away[passages] / np.maximum(away[passages + 1] - away[passages], 1e-12)
-    passed = time_s[passages] + share * (time_s[passages + 1] - time_s[passages])
-    if len(passed) < LEAST_LINES:
+    before = away[:-1]
+    after = away[1:]
+    is_passage = (before < 0) & (after >= 0) & (after - before < _PASSING_RAD)
+    passages = np.flatnonzero(is_passage)
+    share = -before[passages] / np.maximum(after[passages] - before[passages], 1e-12)
+    passed_s = time_s[passages] + share * (time_s[passages + 1] - time_s[passages])
+    if len(passed_s) < LEAST_LINES:
         return None
-    usual = float(np.median(np.diff(passed)))
+    usual_s = float(np.median(np.diff(passed_s)))
     # shots that swap places pass twice
-    passed = passed[np.diff(passed, prepend=-math.inf) > 0.5 * usual]
-    if len(passed) < LEAST_LINES or not usual > LEAST_SHOTS * shot_s:
+    passed_s = passed_s[np.diff(passed_s, prepend=-math.inf) > 0.5 * usual_s]
+    if len(passed_s) < LEAST_LINES or not usual_s > LEAST_SHOTS * shot_s:
         return None
-    line_s = _lattice(passed, float(np.median(np.diff(passed))))
-    since = (passed - passed[0]) / line_s
+    line_s = _lattice(passed_s, float(np.median(np.diff(passed_s))))
+    since = (passed_s - passed_s[0]) / line_s
     if float(np.percentile(np.abs(since - np.rint(since)), 90)) > _UNEVEN:
         return None
-    begin_s, is_seam = _sweep_begin(time_s - passed[0], angle_rad, way, line_s)
+
+    begin_s, is_seam = _sweep_begin(time_s - passed_s[0], angle_rad, way, line_s)
     n_shots = line_s / shot_s
     if is_seam and abs(n_shots - round(n_shots)) < _OFF_WHOLE:
         # shots stamped one after the other: a line is a whole number of them
         line_s = round(n_shots) * shot_s
-    begin_s += float(passed[0] - time_s[0])
+    begin_s += float(passed_s[0] - time_s[0])
     begin_s -= line_s * math.ceil(begin_s / line_s - 0.5 / n_shots)
     # at a shot; the middle between two is the one behind
     origin_s = float(time_s[0]) + math.floor(begin_s / shot_s + 0.6) * shot_s
     n_lines = float(time_s[-1] - time_s[0]) / line_s
     return TimedScan(
-        1 / shot_s, 1 / line_s, origin_s, n_lines, 1.0, len(time_s) * shot_s / (n_lines * line_s)
+        shot_hz=1 / shot_s,
+        line_hz=1 / line_s,
+        time_origin_s=origin_s,
+        n_lines=n_lines,
+        strength=1.0,
+        share=len(time_s) * shot_s / (n_lines * line_s),
     )
 
 
@@ -398,86 +418,93 @@ def _sweep_begin(
     line_s: float,
 ) -> tuple[float, bool]:
     """Return the time of the largest gap in a sweep [s], and whether the gap takes no time."""
+    # mean angle of every cell of the sweep that returns
     cell = (np.remainder(since_s, line_s) / line_s * _FOLDED).astype(np.int64) % _FOLDED
-    seen = np.flatnonzero(np.bincount(cell, minlength=_FOLDED))
-    cosine, sine = (np.bincount(cell, part(angle_rad), _FOLDED)[seen] for part in (np.cos, np.sin))
+    filled = np.flatnonzero(np.bincount(cell, minlength=_FOLDED))
+    cosine = np.bincount(cell, np.cos(angle_rad), _FOLDED)[filled]
+    sine = np.bincount(cell, np.sin(angle_rad), _FOLDED)[filled]
     middle = np.arctan2(sine, cosine)
-    # angle from every cell to the next that returns
-    ahead = np.remainder(way * np.diff(middle, append=middle[:1]), 2 * math.pi)
-    ahead[ahead > 2 * math.pi - _PASSING_RAD] = 0.0
-    cells = np.diff(seen, append=seen[:1] + _FOLDED)
-    excess = ahead - cells * float(np.median(ahead / cells))
+    # angle and cells from every one to the next
+    to_next_rad = np.remainder(way * np.diff(middle, append=middle[:1]), 2 * math.pi)
+    to_next_rad[to_next_rad > 2 * math.pi - _PASSING_RAD] = 0.0
+    to_next = np.diff(filled, append=filled[:1] + _FOLDED)
+    excess_rad = to_next_rad - to_next * float(np.median(to_next_rad / to_next))
     # angles without time of their own, else the longest time without a return
-    is_seam = bool(excess.max() > _SEAM_RAD)
-    largest = int(np.argmax(excess if is_seam else cells))
-    gap = float(ahead[largest])
-    rough = (seen[largest] + 0.5 + 0.5 * cells[largest]) % _FOLDED / _FOLDED * line_s
+    is_seam = bool(excess_rad.max() > _SEAM_RAD)
+    largest = int(np.argmax(excess_rad if is_seam else to_next))
+    gap_rad = float(to_next_rad[largest])
+    middle_cell = (filled[largest] + 0.5 + 0.5 * to_next[largest]) % _FOLDED
+    rough_s = middle_cell / _FOLDED * line_s
     # to the shot, by neighbours on both sides of the gap
     step = way * wrap(np.diff(angle_rad))
-    phase = since_s[:-1] + 0.5 * np.diff(since_s) - rough
-    phase -= line_s * np.rint(phase / line_s)
-    over = (step > 0.5 * min(gap, math.pi)) & (
-        np.abs(phase) < 2 * line_s * cells[largest] / _FOLDED
-    )
-    return float(rough + (np.median(phase[over]) if over.any() else 0.0)), is_seam
+    off_s = since_s[:-1] + 0.5 * np.diff(since_s) - rough_s
+    off_s -= line_s * np.rint(off_s / line_s)
+    is_near = np.abs(off_s) < 2 * line_s * to_next[largest] / _FOLDED
+    is_across = (step > 0.5 * min(gap_rad, math.pi)) & is_near
+    correction_s = np.median(off_s[is_across]) if is_across.any() else 0.0
+    return float(rough_s + correction_s), is_seam
 
 
 def shot_period(time_s: F64) -> float:
     """Return the time from shot to shot [s], 0 if the times show none."""
     step = np.diff(time_s)
-    ahead = step[step > 0]
-    if len(ahead) < LEAST_RETURNS // 10:
+    rising = step[step > 0]
+    if len(rising) < LEAST_RETURNS // 10:
         return 0.0
     if np.count_nonzero(step == 0) > _MOST_EQUAL * len(step):
-        return _rounded_period(time_s, float(np.percentile(ahead, 5)))
-    return _lattice(time_s, float(np.median(ahead[ahead <= 1.5 * np.percentile(ahead, 20)])))
+        return _rounded_period(time_s, float(np.percentile(rising, 5)))
+    short = rising[rising <= 1.5 * np.percentile(rising, 20)]
+    return _lattice(time_s, float(np.median(short)))
 
 
-def _lattice(time_s: F64, usual: float) -> float:
+def _lattice(time_s: F64, step_s: float) -> float:
     """Return the step of a lattice on which times lie, refined over ever longer distances.
 
-    ``usual`` is a first estimate.
+    ``step_s`` is a first estimate.
     """
     lag = 1
     while lag < len(time_s):
         # the number of shots between two returns is certain only while the error has not grown to a
         # share of a shot
-        distance = time_s[lag:] - time_s[:-lag]
-        n_shots = np.rint(distance / usual)
-        use = (n_shots >= 1) & (n_shots <= 4 * lag) & (np.abs(distance / usual - n_shots) < 0.25)
+        distance_s = time_s[lag:] - time_s[:-lag]
+        steps = distance_s / step_s
+        n_steps = np.rint(steps)
+        use = (n_steps >= 1) & (n_steps <= 4 * lag) & (np.abs(steps - n_steps) < 0.25)
         if np.count_nonzero(use) < 0.5 * len(use):
             break
-        usual = float((distance[use] * n_shots[use]).sum() / (n_shots[use] ** 2).sum())
+        products = (distance_s[use] * n_steps[use]).sum()
+        step_s = float(products / (n_steps[use] ** 2).sum())
         lag *= 2
-    return usual
+    return step_s
 
 
-def _rounded_period(time_s: F64, quantum: float) -> float:
+def _rounded_period(time_s: F64, quantum_s: float) -> float:
     """Return the time from shot to shot if several share a stamp.
 
     The longest stretches without a gap give it.
     """
-    best = 0.0
+    best_s = 0.0
     width = 64
     while width < len(time_s):
-        span = time_s[width:] - time_s[:-width]
+        span_s = time_s[width:] - time_s[:-width]
         # the ends of a stretch are rounded each by up to a quantum
-        tight = np.partition(span, len(span) // 50)[: len(span) // 50 + 1]
-        period_s = float(tight.mean()) / width
-        if best and period_s > best * (1 + 1.5 * quantum / (width * best)):
+        n_shortest = len(span_s) // 50
+        shortest_s = np.partition(span_s, n_shortest)[: n_shortest + 1]
+        period_s = float(shortest_s.mean()) / width
+        if best_s and period_s > best_s * (1 + 1.5 * quantum_s / (width * best_s)):
             break
-        best = period_s
+        best_s = period_s
         width *= 2
-    return best
+    return best_s
 
 
-def _deviation(bins: np.ndarray, value: F64, n: int) -> F64:
-    """Return values by bin less their slow change; 0 where there is none."""
+def _deviation(bins: I64, values: F64, n: int) -> F64:
+    """Return the mean value of every bin from its usual one, -1 to 1; 0 where there is none."""
     count = np.bincount(bins, minlength=n)
-    mean = np.bincount(bins, value, n) / np.maximum(count, 1)
-    middle = np.where(count > 0, mean - np.median(value), 0.0)
-    most = float(np.percentile(np.abs(middle[count > 0]), 90)) or 1.0
-    deviation: F64 = np.clip(middle / most, -1.0, 1.0)
+    mean = np.bincount(bins, values, n) / np.maximum(count, 1)
+    off = np.where(count > 0, mean - np.median(values), 0.0)
+    most = float(np.percentile(np.abs(off[count > 0]), 90)) or 1.0
+    deviation: F64 = np.clip(off / most, -1.0, 1.0)
     deviation -= deviation.mean()
     return deviation
 
@@ -493,15 +520,11 @@ def _first_peak(correlation: F64, most: int) -> int | None:
     highest = float(inner[start:].max())
     if highest < LEAST_STRENGTH:
         return None
-    peaks = (
-        np.flatnonzero(
-            (inner[start:-1] >= FIRST_PEAK * highest) & (inner[start:-1] >= inner[start + 1 :])
-        )
-        + start
-    )
-    if not len(peaks):
+    lags = inner[start:-1]
+    is_peak = (lags >= FIRST_PEAK * highest) & (lags >= inner[start + 1 :])
+    if not is_peak.any():
         return None
-    first = int(peaks[0])
+    first = start + int(np.argmax(is_peak))
     return first + int(np.argmax(inner[first : first + max(first // 50, 2)]))
 
 
@@ -512,31 +535,40 @@ def _refine_period(correlation: F64, lag: int) -> float:
     while True:
         centre = round(period * multiple)
         reach = max(round(0.01 * lag / multiple), 3)
-        if centre + reach + 1 >= len(correlation) or centre - reach < 1:
+        first = centre - reach
+        if centre + reach + 1 >= len(correlation) or first < 1:
             return period
-        window = correlation[centre - reach : centre + reach + 1]
+        window = correlation[first : centre + reach + 1]
         top = int(np.argmax(window))
         if window[top] < 0.5 * LEAST_STRENGTH:
             return period
+        # between the lags, by a parabola
         offset = 0.0
         if 0 < top < len(window) - 1:
             left, middle, right = window[top - 1 : top + 2]
             curve = left - 2 * middle + right
-            offset = 0.5 * (left - right) / curve if curve < 0 else 0.0
-        period = (centre - reach + top + float(offset)) / multiple
+            if curve < 0:
+                offset = float(0.5 * (left - right) / curve)
+        period = (first + top + offset) / multiple
         multiple *= 2
 
 
-def _begin(bins: np.ndarray, period: float, filled: F64) -> float:
-    """Return the middle of the longest stretch of a period that rarely returns [shots]."""
+def _begin(filled: F64, period: float) -> float:
+    """Return the middle of the longest stretch of a period that rarely returns [shots].
+
+    ``filled``: whether every shot returns, (n,) 0 or 1.
+    """
     n_cells = min(_FOLDED, max(int(period), 1))
     shots = np.arange(len(filled))
     cell = (np.remainder(shots, period) / period * n_cells).astype(np.int64) % n_cells
-    share = np.bincount(cell, filled, n_cells) / np.maximum(np.bincount(cell, minlength=n_cells), 1)
-    low = share <= share.min() + 0.1 * (share.max() - share.min())
-    doubled = np.concatenate([low, low])
-    edge = np.flatnonzero(np.diff(np.concatenate([[False], doubled, [False]]).astype(np.int8)))
-    starts = edge[::2]
-    stops = edge[1::2]
+    n_shots = np.maximum(np.bincount(cell, minlength=n_cells), 1)
+    share = np.bincount(cell, filled, n_cells) / n_shots
+    is_low = share <= share.min() + 0.1 * (share.max() - share.min())
+    # a stretch may go on at the begin of the period
+    padded = np.concatenate([[False], is_low, is_low, [False]])
+    edges = np.flatnonzero(np.diff(padded.astype(np.int8)))
+    starts = edges[::2]
+    stops = edges[1::2]
     longest = int(np.argmax(stops - starts))
-    return float((starts[longest] + stops[longest]) / 2 % n_cells / n_cells * period)
+    middle = (starts[longest] + stops[longest]) / 2
+    return float(middle % n_cells / n_cells * period)
