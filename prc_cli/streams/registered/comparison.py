@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -151,22 +152,27 @@ def compare(path: ScannerPath, trajectory: Positions) -> Comparison:
     every = max(len(path.time_s) // MOST_SAMPLES, 1)
     chosen = slice(None, None, every)
     sample = _Sample(path.time_s[chosen], path.xyz_m[chosen], path.frame[chosen])
-    distance_given_m = _distance_as_given(sample, trajectory)
-    clocks, distance_m = _near_clocks(sample, trajectory)
-    if not len(clocks):
-        return _unlike(
-            path,
-            distance_given_m,
-            "the trajectory covers less than half of the path, whatever its clock",
-        )
-    if distance_m.min() > FAR_M:
-        return _unlike(
-            path, distance_given_m, _why_far(sample, trajectory, float(distance_m.min()))
-        )
-    near = distance_m <= FAR_M
-    fit = _best_fit(path.scanner, sample, trajectory, clocks[near], distance_m[near])
+    distance_given_m = math.nan
+    inside = trajectory.covers(sample.time_s)
+    if inside.any():
+        off = sample.xyz_m[inside] - trajectory.xyz_at(sample.time_s[inside])
+        distance_given_m = float(np.median(np.linalg.norm(off, axis=1)))
+    clocks = _near_clocks(sample, trajectory)
+    if not clocks:
+        why = "the trajectory covers less than half of the path, whatever its clock"
+        return _unlike(path, distance_given_m, why)
+    nearest_m = min(clock.distance_m for clock in clocks)
+    if nearest_m > FAR_M:
+        return _unlike(path, distance_given_m, _why_far(sample, trajectory, nearest_m))
+
+    # of fits with alike spreads, the nearest
+    near = [clock for clock in clocks if clock.distance_m <= FAR_M]
+    fits = [_fit(path.scanner, sample, trajectory, clock.clock_s) for clock in near]
+    most_m = ALIKE_FITS * min(fit.spread_m for fit in fits) + LEAST_SCALE_M
+    alike = [place for place, fit in enumerate(fits) if fit.spread_m <= most_m]
+    best = fits[min(alike, key=lambda place: near[place].distance_m)]
     forward = path.forward if trajectory.frame is None else "forward"
-    return replace(fit, distance_m=distance_given_m, forward=forward)
+    return replace(best, distance_m=distance_given_m, forward=forward)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,25 +189,17 @@ class _Sample:
 def _unlike(path: ScannerPath, distance_given_m: float, why: str) -> Comparison:
     unknown = (math.nan, math.nan, math.nan)
     return Comparison(
-        path.scanner,
-        distance_given_m,
-        math.nan,
-        math.inf,
-        unknown,
-        unknown,
-        "scanner",
-        "",
-        math.nan,
-        why,
+        scanner=path.scanner,
+        distance_m=distance_given_m,
+        clock_s=math.nan,
+        clock_sigma_s=math.inf,
+        lever_m=unknown,
+        lever_spread_m=unknown,
+        axes="scanner",
+        forward="",
+        overlap=math.nan,
+        misfit=why,
     )
-
-
-def _distance_as_given(sample: _Sample, trajectory: Positions) -> float:
-    inside = trajectory.covers(sample.time_s)
-    if not inside.any():
-        return math.nan
-    off = sample.xyz_m[inside] - trajectory.xyz_at(sample.time_s[inside])
-    return float(np.median(np.linalg.norm(off, axis=1)))
 
 
 def _clocks(sample: _Sample, trajectory: Positions) -> F64:
@@ -210,75 +208,58 @@ def _clocks(sample: _Sample, trajectory: Positions) -> F64:
     low = first_s - trajectory.time_s[-1]
     high = last_s - trajectory.time_s[0]
     step = max(COARSE_S, (high - low) / 1_000_000)
-    clocks: F64 = step * np.arange(
-        math.floor(low / step), math.ceil(high / step) + 1, dtype=np.float64
-    )
+    first = math.floor(low / step)
+    last = math.ceil(high / step)
+    clocks: F64 = step * np.arange(first, last + 1, dtype=np.float64)
     return clocks
 
 
-def _near_clocks(sample: _Sample, trajectory: Positions) -> tuple[F64, F64]:
-    """Return the clocks with the nearest trajectory (c,) [s] and its median distances (c,) [m]."""
+class _Clock(NamedTuple):
+    clock_s: float
+    """Offset to add to the times of the trajectory [s]."""
+    distance_m: float
+    """Median distance of the path in plan with this clock [m]."""
+
+
+def _near_clocks(sample: _Sample, trajectory: Positions) -> list[_Clock]:
+    """Return a few clocks with the nearest trajectory, apart from each other."""
     coarse = sample.thinned()
     clocks = _clocks(coarse, trajectory)
     batches = (clocks[first : first + BATCH] for first in range(0, len(clocks), BATCH))
     distance = np.concatenate([_distances(coarse, trajectory, batch) for batch in batches])
     # the given clock comes first: a vehicle that stands is equally near at many
     order = np.lexsort((np.abs(clocks), np.round(distance, 2)))
-    chosen: list[tuple[float, float]] = []
+    chosen: list[_Clock] = []
     for place in order[np.isfinite(distance[order])]:
-        if all(abs(clocks[place] - clock) > APART_S for clock, _ in chosen):
-            chosen.append((float(clocks[place]), float(distance[place])))
+        if all(abs(clocks[place] - clock.clock_s) > APART_S for clock in chosen):
+            chosen.append(_Clock(float(clocks[place]), float(distance[place])))
         if len(chosen) == MOST_CLOCKS:
             break
-    finer = [_finer_clock(coarse, trajectory, *pair) for pair in chosen]
-    return np.array([clock for clock, _ in finer]), np.array([distance for _, distance in finer])
+    return [_finer_clock(coarse, trajectory, clock) for clock in chosen]
 
 
-def _finer_clock(
-    sample: _Sample,
-    trajectory: Positions,
-    clock_s: float,
-    distance_m: float,
-) -> tuple[float, float]:
+def _finer_clock(sample: _Sample, trajectory: Positions, clock: _Clock) -> _Clock:
     for step in (COARSE_S / 8, COARSE_S / 64):
-        clocks = clock_s + step * np.arange(-8, 9, dtype=np.float64)
+        clocks = clock.clock_s + step * np.arange(-8, 9, dtype=np.float64)
         distance = _distances(sample, trajectory, clocks)
         place = int(np.argmin(distance))
-        if distance[place] < distance_m - 1e-4:
-            clock_s = float(clocks[place])
-            distance_m = float(distance[place])
-    return clock_s, distance_m
+        if distance[place] < clock.distance_m - 1e-4:
+            clock = _Clock(float(clocks[place]), float(distance[place]))
+    return clock
 
 
 def _distances(sample: _Sample, trajectory: Positions, clocks: F64) -> F64:
     """Return the median distances in plan (c,) [m]; inf = too little of the path is covered."""
     time_s = sample.time_s[None, :] - clocks[:, None]
     inside = trajectory.covers(time_s)
-    off = np.linalg.norm(sample.xyz_m[None, :, :2] - trajectory.xyz_at(time_s)[..., :2], axis=2)
-    off[~inside] = np.nan
-    enough = inside.mean(axis=1) >= LEAST_OVERLAP
+    off = sample.xyz_m[None, :, :2] - trajectory.xyz_at(time_s)[..., :2]
+    away = np.linalg.norm(off, axis=2)
+    away[~inside] = np.nan
+    is_enough = inside.mean(axis=1) >= LEAST_OVERLAP
     distance = np.full(len(clocks), np.inf)
-    if enough.any():
-        distance[enough] = np.nanmedian(off[enough], axis=1)
+    if is_enough.any():
+        distance[is_enough] = np.nanmedian(away[is_enough], axis=1)
     return distance
-
-
-def _best_fit(
-    scanner: int,
-    sample: _Sample,
-    trajectory: Positions,
-    clocks: F64,
-    distance_m: F64,
-) -> Comparison:
-    # of fits with alike spreads, the nearest
-    fits = [_fit(scanner, sample, trajectory, float(clock)) for clock in clocks]
-    least = min(fit.spread_m for fit in fits)
-    alike = [
-        place
-        for place, fit in enumerate(fits)
-        if fit.spread_m <= ALIKE_FITS * least + LEAST_SCALE_M
-    ]
-    return fits[min(alike, key=lambda place: float(distance_m[place]))]
 
 
 def _fit(
@@ -287,21 +268,22 @@ def _fit(
     trajectory: Positions,
     clock_s: float,
 ) -> Comparison:
-    # clock and lever arm together; the given clock unless the drive shows another
-    height_m = _height_off(sample, trajectory, clock_s)
+    """Fit clock and lever arm together; the given clock stays unless the drive shows another."""
+    time_s = sample.time_s - clock_s
+    inside = trajectory.covers(time_s)
+    off_z = sample.xyz_m[inside, 2] - trajectory.xyz_at(time_s[inside])[:, 2]
+    height_m = float(np.median(off_z))
     misfit = ""
     if abs(height_m) > FAR_HEIGHT_M:
         misfit = f"the heights differ by {height_m:.2f} m throughout"
         trajectory = replace(trajectory, xyz_m=trajectory.xyz_m + np.array([0.0, 0.0, height_m]))
     solved = _solve(sample, trajectory, clock_s, with_clock=True)
     distance_m = _distances(sample.thinned(), trajectory, np.zeros(1))[0]
-    limit = FAR_M if solved.clock_sigma_s > CLOCK_SIGMA_S else 0.0
-    if (
-        abs(solved.clock_s) < max(CERTAIN * solved.clock_sigma_s, LEAST_CLOCK_S)
-        or distance_m < limit
-    ):
-        alone = _solve(sample, trajectory, 0.0, with_clock=False)
-        solved = _Solved(0.0, solved.clock_sigma_s, alone.lever_m, alone.off_m)
+    is_unknown = solved.clock_sigma_s > CLOCK_SIGMA_S
+    is_near = is_unknown and distance_m < FAR_M
+    if is_near or abs(solved.clock_s) < max(CERTAIN * solved.clock_sigma_s, LEAST_CLOCK_S):
+        with_given_clock = _solve(sample, trajectory, 0.0, with_clock=False)
+        solved = replace(with_given_clock, clock_sigma_s=solved.clock_sigma_s)
     spread = 1.4826 * np.median(np.abs(solved.off_m), axis=0)
     inside = trajectory.covers(sample.time_s - solved.clock_s)
     return Comparison(
@@ -316,12 +298,6 @@ def _fit(
         overlap=float(inside.mean()),
         misfit=misfit,
     )
-
-
-def _height_off(sample: _Sample, trajectory: Positions, clock_s: float) -> float:
-    time_s = sample.time_s - clock_s
-    inside = trajectory.covers(time_s)
-    return float(np.median(sample.xyz_m[inside, 2] - trajectory.xyz_at(time_s[inside])[:, 2]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -352,7 +328,8 @@ def _solve(
             break
         time_s = time_s[inside]
         frame = sample.frame[inside] if trajectory.frame is None else trajectory.frame_at(time_s)
-        arm = np.einsum("nji,nj->ni", frame, sample.xyz_m[inside] - trajectory.xyz_at(time_s))
+        to_scanner = sample.xyz_m[inside] - trajectory.xyz_at(time_s)
+        arm = np.einsum("nji,nj->ni", frame, to_scanner)
         # a later clock leaves the trajectory behind
         speed = np.einsum("nji,nj->ni", frame, trajectory.speed_at(time_s))
         off = arm - lever
@@ -360,15 +337,17 @@ def _solve(
         mean_arm = np.average(arm, axis=0, weights=weight)
         mean_speed = np.average(speed, axis=0, weights=weight)
         change = speed - mean_speed
-        stiffness = float((weight[:, None] * change * change).sum())
+        weighted_change = weight[:, None] * change
+        stiffness = float((weighted_change * change).sum())
         step = 0.0
         if with_clock and stiffness > 0.0:
-            step = -float((weight[:, None] * change * (arm - mean_arm)).sum()) / stiffness
-            step = float(np.clip(step, -COARSE_S, COARSE_S))
+            gradient = float((weighted_change * (arm - mean_arm)).sum())
+            step = float(np.clip(-gradient / stiffness, -COARSE_S, COARSE_S))
         clock_s += step
         lever = mean_arm + mean_speed * step
         off = arm + speed * step - lever
-        scale = max(3.0 * float(np.median(np.linalg.norm(off, axis=1))), LEAST_SCALE_M)
+        spread = float(np.median(np.linalg.norm(off, axis=1)))
+        scale = max(3.0 * spread, LEAST_SCALE_M)
         if stiffness > 0.0:
             sigma = _clock_sigma(off, weight, stiffness, time_s)
         if abs(step) < 1e-7 and scale < FIRST_SCALE_M:
@@ -382,28 +361,33 @@ def _clock_sigma(
     stiffness: float,
     time_s: F64,
 ) -> float:
+    squares = float((weight[:, None] * off_m * off_m).sum())
+    variance = squares / max(2.0 * float(weight.sum()), 1e-9)
     # neighbouring errors count as one
-    variance = float((weight[:, None] * off_m * off_m).sum()) / max(2.0 * float(weight.sum()), 1e-9)
-    n_times = max(float(np.ptp(time_s)) / INDEPENDENT_S, 1.0)
-    alike = max(len(time_s) / n_times, 1.0)
-    return math.sqrt(max(variance, 1e-10) * alike / stiffness)
+    n_independent = max(float(np.ptp(time_s)) / INDEPENDENT_S, 1.0)
+    n_alike = max(len(time_s) / n_independent, 1.0)
+    return math.sqrt(max(variance, 1e-10) * n_alike / stiffness)
 
 
 def _why_far(sample: _Sample, trajectory: Positions, distance_m: float) -> str:
-    # other coordinates, or another drive
+    """Say whether a trajectory has other coordinates or is another drive."""
     far = f"the trajectory lies {distance_m:,.0f} m from the path found, at the best of all clocks"
-    xy = np.abs(trajectory.xyz_m[:, :2]).max(axis=0)
-    in_degrees = bool(np.all(xy <= MOST_DEGREES))
+    largest_xy = np.abs(trajectory.xyz_m[:, :2]).max(axis=0)
+    in_degrees = bool(np.all(largest_xy <= MOST_DEGREES))
     if in_degrees and np.abs(sample.xyz_m[:, :2]).max() > LEAST_METRES:
         return f"{far}: its coordinates look like degrees"
     for reason, changed in _OTHER_UNITS.items():
-        _, near_m = _near_clocks(sample, replace(trajectory, xyz_m=changed(trajectory.xyz_m)))
-        if near_m.min(initial=math.inf) < min(FAR_M, MUCH_NEARER * distance_m):
+        clocks = _near_clocks(sample, replace(trajectory, xyz_m=changed(trajectory.xyz_m)))
+        nearest_m = min((clock.distance_m for clock in clocks), default=math.inf)
+        if nearest_m < min(FAR_M, MUCH_NEARER * distance_m):
             return f"{far}: {reason}"
     if moved := _moved_as_given(sample, trajectory):
         return f"{far}, but has the same path: {moved}"
     coarse = sample.thinned()
-    if _breadth(coarse.xyz_m) < STRAIGHT_M:
+    centred = coarse.xyz_m[:, :2] - coarse.xyz_m[:, :2].mean(axis=0)
+    smallest = float(np.linalg.svd(centred, compute_uv=False)[-1])
+    off_line_m = smallest / math.sqrt(len(centred))
+    if off_line_m < STRAIGHT_M:
         return f"{far}: other coordinates or another drive, which a straight path does not tell"
     best = _shape(coarse, trajectory)
     if best.off_m > max(ALIKE_M, ALIKE_SHARE * _extent(coarse.xyz_m)):
@@ -455,21 +439,22 @@ class _Shape:
 def _shape(sample: _Sample, trajectory: Positions) -> _Shape:
     """Return the closest shape over all clocks at which the trajectory covers the path."""
     path = sample.xyz_m[:, 0] + 1j * sample.xyz_m[:, 1]
-    centred = path - path.mean()
+    centred_path = path - path.mean()
     best = _Shape(math.inf, 0j, (0.0, 0.0, 0.0))
     clocks = _clocks(sample, trajectory)
     for first in range(0, len(clocks), BATCH):
         time_s = sample.time_s[None, :] - clocks[first : first + BATCH, None]
-        covered = trajectory.covers(time_s).all(axis=1)
-        if not covered.any():
+        is_covered = trajectory.covers(time_s).all(axis=1)
+        if not is_covered.any():
             continue
-        xyz = trajectory.xyz_at(time_s[covered])
-        plane = xyz[..., 0] + 1j * xyz[..., 1]
-        part = plane - plane.mean(axis=1, keepdims=True)
-        power = np.maximum((np.abs(part) ** 2).sum(axis=1), 1e-12)
-        factor = (np.conj(part) @ centred) / power
-        left = (np.abs(centred) ** 2).sum() - np.abs(factor) ** 2 * power
-        off = np.sqrt(np.maximum(left, 0.0) / len(path))
+        xyz = trajectory.xyz_at(time_s[is_covered])
+        part = xyz[..., 0] + 1j * xyz[..., 1]
+        centred = part - part.mean(axis=1, keepdims=True)
+        # the turn and scale with the least squares, and what they leave
+        power = np.maximum((np.abs(centred) ** 2).sum(axis=1), 1e-12)
+        factor = (np.conj(centred) @ centred_path) / power
+        squares = (np.abs(centred_path) ** 2).sum() - np.abs(factor) ** 2 * power
+        off = np.sqrt(np.maximum(squares, 0.0) / len(path))
         place = int(np.argmin(off))
         if off[place] < best.off_m:
             x, y, z = (sample.xyz_m - xyz[place]).mean(axis=0).tolist()
@@ -479,9 +464,3 @@ def _shape(sample: _Sample, trajectory: Positions) -> _Shape:
 
 def _extent(xyz_m: F64) -> float:
     return float(np.linalg.norm(np.ptp(xyz_m[:, :2], axis=0)))
-
-
-def _breadth(xyz_m: F64) -> float:
-    """Return the standard deviation of a path from a straight line [m]."""
-    centred = xyz_m[:, :2] - xyz_m[:, :2].mean(axis=0)
-    return float(np.linalg.svd(centred, compute_uv=False)[-1]) / math.sqrt(len(centred))

@@ -86,17 +86,14 @@ def find_turning(time_s: F64, xyz_m: F64, rotation: Rotation) -> Turning:
     spacing_s = window_spacing(float(time_s[-1] - time_s[0]))
     turning = Turning(rotation.hz, rotation.hz, float(time_s[0]))
     windows = stations_of_lines(time_s, xyz_m, turning, spacing_s)
-    residual = float(np.median(windows.stations.residual_m)) if len(windows.time_s) else math.inf
+    residual = _median_residual(windows)
     # whole turns that fit are not arcs
     arcs = _arcs(time_s, rotation) if residual > MOST_WHOLE_M else None
     if arcs is not None:
-        of_arcs = stations_of_lines(time_s, xyz_m, arcs, spacing_s)
-        if (
-            len(of_arcs.time_s)
-            and float(np.median(of_arcs.stations.residual_m)) < ARC_GAIN * residual
-        ):
+        arc_windows = stations_of_lines(time_s, xyz_m, arcs, spacing_s)
+        if _median_residual(arc_windows) < ARC_GAIN * residual:
             turning = arcs
-            windows = of_arcs
+            windows = arc_windows
     for _ in range(3):
         drift = drift_hz(windows)
         turning = turning.faster(drift)
@@ -104,6 +101,12 @@ def find_turning(time_s: F64, xyz_m: F64, rotation: Rotation) -> Turning:
             break
         windows = stations_of_lines(time_s, xyz_m, turning, spacing_s)
     return turning
+
+
+def _median_residual(windows: Windows) -> float:
+    if not len(windows.time_s):
+        return math.inf
+    return float(np.median(windows.stations.residual_m))
 
 
 def _arcs(time_s: F64, rotation: Rotation) -> Turning | None:
@@ -130,8 +133,16 @@ def fit_track(pieces: PassPieces, turning: Turning, duration_s: float) -> Track 
     duration_s
         Duration of the pass [s].
     """
-    windows = _windows(pieces, turning, window_spacing(duration_s))
-    if windows is None or np.count_nonzero(windows.trusted) < LEAST_TRUSTED:
+    spacing_s = window_spacing(duration_s)
+    parts: list[Windows] = []
+    for time_s, xyz_m in whole_lines(pieces(), turning):
+        part = stations_of_lines(time_s, xyz_m, turning, spacing_s)
+        if len(part.time_s):
+            parts.append(part)
+    if not parts:
+        return None
+    windows = join_windows(parts)
+    if np.count_nonzero(windows.trusted) < LEAST_TRUSTED:
         return None
     knots = knots_between(windows, knot_times(windows, turning))
     return _smooth_all(pieces, turning, knots, float(windows.trusted.mean()))
@@ -146,15 +157,6 @@ def knot_times(windows: Windows, turning: Turning) -> F64:
     n_knots = max(math.ceil((last_s - first_s) / step) + 1, 4)
     times: F64 = first_s + step * np.arange(n_knots)
     return times
-
-
-def _windows(pieces: PassPieces, turning: Turning, spacing_s: float) -> Windows | None:
-    parts: list[Windows] = []
-    for time_s, xyz_m in whole_lines(pieces(), turning):
-        part = stations_of_lines(time_s, xyz_m, turning, spacing_s)
-        if len(part.time_s):
-            parts.append(part)
-    return join_windows(parts) if parts else None
 
 
 def whole_lines(pieces: Iterator[tuple[F64, F64]], turning: Turning) -> Iterator[tuple[F64, F64]]:
@@ -303,12 +305,14 @@ def are_shots_of_one_time(scan: Scan, time_s: F64, xyz_m: F64) -> bool:
     xyz_m
         (n, 3) float64 [m].
     """
-    begin = np.flatnonzero(np.diff(time_s, prepend=-np.inf) > 0)
-    several = np.diff(begin, append=len(time_s)) > 1
-    if np.count_nonzero(several) < LEAST_GROUPS:
+    is_first = np.diff(time_s, prepend=-np.inf) > 0
+    begin = np.flatnonzero(is_first)
+    is_several = np.diff(begin, append=len(time_s)) > 1
+    if np.count_nonzero(is_several) < LEAST_GROUPS:
         return False
     bearing = scan.bearings(time_s, xyz_m - scan.stations(time_s))
-    shot = np.cumsum(np.diff(time_s, prepend=-np.inf) > 0) - 1
-    away = np.remainder(bearing - bearing[begin][shot] + math.pi, 2.0 * math.pi) - math.pi
+    shot = np.cumsum(is_first) - 1
+    from_first = bearing - bearing[begin][shot]
+    away = np.remainder(from_first + math.pi, 2.0 * math.pi) - math.pi
     spread = np.maximum.reduceat(away, begin) - np.minimum.reduceat(away, begin)
-    return float(np.median(spread[several])) > OF_SEVERAL_SHOTS * scan.step_rad
+    return float(np.median(spread[is_several])) > OF_SEVERAL_SHOTS * scan.step_rad

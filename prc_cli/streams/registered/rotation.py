@@ -152,14 +152,14 @@ def cut_pieces(
     """
     begin = np.linspace(0, len(time_s) - 1, 6 * n_pieces).astype(np.int64)
     end = np.searchsorted(time_s, time_s[begin] + length_s)
-    count = end - begin
-    usable = np.flatnonzero(
-        (count >= LEAST_PIECE_POINTS) & (time_s[np.maximum(end - 1, 0)] - time_s[begin] > 0)
-    )
+    last = np.maximum(end - 1, 0)
+    has_points = end - begin >= LEAST_PIECE_POINTS
+    usable = np.flatnonzero(has_points & (time_s[last] - time_s[begin] > 0))
     if len(usable) < 8:
         return None
-    usable = usable[np.linspace(0, len(usable) - 1, min(n_pieces, len(usable))).astype(np.int64)]
-    return pieces_between(time_s, xyz_m, begin[usable], end[usable], PIECE_POINTS)
+    n_chosen = min(n_pieces, len(usable))
+    chosen = usable[np.linspace(0, len(usable) - 1, n_chosen).astype(np.int64)]
+    return pieces_between(time_s, xyz_m, begin[chosen], end[chosen], PIECE_POINTS)
 
 
 def pieces_between(
@@ -170,18 +170,21 @@ def pieces_between(
     n_points: int,
 ) -> Pieces:
     """Return evenly chosen points of the pieces from ``begin`` to ``end``, (p,) each."""
-    count = end - begin
-    step = np.maximum(count, 1)[:, None] / np.minimum(n_points, np.maximum(count, 1))[:, None]
+    count = (end - begin)[:, None]
+    at_least_one = np.maximum(count, 1)
+    step = at_least_one / np.minimum(n_points, at_least_one)
     place = np.arange(n_points)[None, :]
-    index = begin[:, None] + np.minimum(
-        (place + 0.5) * step, np.maximum(count - 1, 0)[:, None]
-    ).astype(np.int64)
-    index = np.clip(index, 0, len(time_s) - 1)
-    weight = (place < np.minimum(n_points, count)[:, None]).astype(np.float64)
-    first = xyz_m[index[:, 0]]
-    middle = 0.5 * (time_s[index[:, 0]] + time_s[np.clip(end - 1, 0, len(time_s) - 1)])
+    in_piece = np.minimum((place + 0.5) * step, np.maximum(count - 1, 0)).astype(np.int64)
+    index = np.clip(begin[:, None] + in_piece, 0, len(time_s) - 1)
+    first = index[:, 0]
+    last = np.clip(end - 1, 0, len(time_s) - 1)
+    middle_s = 0.5 * (time_s[first] + time_s[last])
     return Pieces(
-        time_s[index] - middle[:, None], xyz_m[index] - first[:, None, :], weight, middle, first
+        time_s=time_s[index] - middle_s[:, None],
+        xyz_m=xyz_m[index] - xyz_m[first][:, None, :],
+        weight=(place < np.minimum(n_points, count)).astype(np.float64),
+        middle_s=middle_s,
+        first_m=xyz_m[first],
     )
 
 
@@ -219,6 +222,7 @@ def find_rotation(time_s: F64, xyz_m: F64, *, n_pieces: int = 48) -> Rotation | 
 
 
 def _best_rate(pieces: Pieces) -> Rotation:
+    # a grid of rates with a part of the points, then ever finer ones with all
     coarse = pieces.thinned()
     planes = fit_planes(coarse.xyz_m, coarse.weight)
     rates = np.geomspace(SLOWEST_HZ, FASTEST_HZ, GRID)
@@ -227,25 +231,28 @@ def _best_rate(pieces: Pieces) -> Rotation:
     rate = float(rates[int(np.argmin(scores))])
     planes = fit_planes(pieces.xyz_m, pieces.weight)
     for width in REFINEMENTS:
-        finer = rate * (1.0 + np.linspace(-width, width, 9))
-        rate = float(finer[int(np.argmin([_score(pieces, planes, hz) for hz in finer]))])
+        rates = rate * (1.0 + np.linspace(-width, width, 9))
+        scores = np.array([_score(pieces, planes, hz) for hz in rates])
+        rate = float(rates[int(np.argmin(scores))])
     residual = _score(pieces, planes, rate)
-    in_front = float(np.median(stations_of(pieces, planes, rate).in_front))
-    return Rotation(rate, residual, usual / max(residual, 1e-9), in_front)
+    stations, _ = stations_both_ways(pieces, planes, rate)
+    return Rotation(
+        hz=rate,
+        residual_m=residual,
+        contrast=usual / max(residual, 1e-9),
+        in_front=float(np.median(stations.in_front)),
+    )
 
 
 def _score(pieces: Pieces, planes: Planes, hz: float) -> float:
-    return float(np.median(stations_of(pieces, planes, hz).misfit_m))
-
-
-def stations_of(pieces: Pieces, planes: Planes, hz: float) -> Stations:
-    """Return the station of every piece at a rate, for its better sense of turning."""
-    return stations_both_ways(pieces, planes, hz)[0]
+    stations, _ = stations_both_ways(pieces, planes, hz)
+    return float(np.median(stations.misfit_m))
 
 
 def stations_both_ways(pieces: Pieces, planes: Planes, hz: float) -> tuple[Stations, Stations]:
     """Return the stations of pieces for the better sense of turning, and for the other."""
     bearing = 2.0 * math.pi * hz * pieces.time_s
-    left, right = (resect(planes, pieces.xyz_m, bearing, pieces.weight, sense) for sense in (1, -1))
-    use = left.misfit_m <= right.misfit_m
-    return left.where(use, right), right.where(use, left)
+    left = resect(planes, pieces.xyz_m, bearing, pieces.weight, sense=1)
+    right = resect(planes, pieces.xyz_m, bearing, pieces.weight, sense=-1)
+    is_left = left.misfit_m <= right.misfit_m
+    return left.where(is_left, right), right.where(is_left, left)
