@@ -395,7 +395,7 @@ def _stem_rows(simulation: Simulation) -> Iterator[str]:
     platform = simulation.scan.platform
     assert isinstance(scene, ForestScene)
     assert isinstance(platform, Trajectory)
-    length_m = float(platform.progress(np.array([simulation.end_s]))[0][0])
+    length_m = float(platform.progress(np.array([simulation.end_s])).distance[0])
     seen: set[bytes] = set()
     for number, s_m in enumerate(np.arange(0.0, length_m + STEM_STEP_M, STEM_STEP_M)):
         point, _ = scene.path_point(np.array([s_m]))

@@ -115,23 +115,19 @@ class SimulatedScan:
     def _lines(self, first: int) -> SimulatedBlock:
         """Simulate the lines from a multiple of :attr:`lines_at_once` on."""
         scanner = self.scanner
-        m = self.scanner.points_per_line
         n_lines = min(self.lines_at_once, self.n_lines - first)
         shots = aim(self.platform, scanner, first, n_lines)
         start = shots.origin[0, 0]
         end = shots.origin[-1, -1]
-        middle = (start + end) / 2.0
+        x, y, _ = ((start + end) / 2.0).tolist()
         travelled = float(np.hypot(*(end - start)[:2]))
         when_s = float(shots.time_s[0, 0] + shots.time_s[-1, -1]) / 2.0
-        bodies = self.bodies_near(
-            float(middle[0]), float(middle[1]), self.sight_m + travelled, when_s
-        )
+        bodies = self.bodies_near(x, y, self.sight_m + travelled, when_s)
         returns = self._measure(bodies, shots, first)
         ranges = returns.range_m
         line = returns.extra_line
         column = returns.extra_column
-        record = (first + line.astype(np.int64)) * m + column
-        extra = ExtraReturns(line, column, returns.extra_range_m, record)
+        record = (first + line.astype(np.int64)) * scanner.points_per_line + column
         angle_rad = scanner.angle_rad()
         block = ScanBlock(
             first,
@@ -141,45 +137,46 @@ class SimulatedScan:
             intensity=_counts(returns.intensity, ranges),
             angle_rad=angle_rad,
             beam_rad=angle_rad if scanner.turns else None,
-            extra=extra,
+            extra=ExtraReturns(line, column, returns.extra_range_m, record),
             is_last=first + n_lines == self.n_lines,
         )
         labelled = LabelledBlock(block, returns.label, returns.extra_label)
         if not self.with_world:
             return SimulatedBlock(labelled)
         world_m = shots.origin + ranges[..., None] * shots.direction
-        way = returns.extra_range_m[:, None] * shots.direction[line, column]
-        further = shots.origin[line, column] + way
+        extra_way = returns.extra_range_m[:, None] * shots.direction[line, column]
+        extra_world_m = shots.origin[line, column] + extra_way
         if self.relabel is not None:
             labels = self.relabel(world_m.reshape(-1, 3)).reshape(ranges.shape)
-            extra_labels = self.relabel(further)
+            extra_labels = self.relabel(extra_world_m)
             labelled = replace(labelled, labels=labels, extra_labels=extra_labels)
-        return SimulatedBlock(labelled, world_m, further)
+        return SimulatedBlock(labelled, world_m, extra_world_m)
 
     def _measure(self, bodies: Bodies, shots: Shots, first: int) -> Measured:
         """Cast the shots, once more behind what light passes, and let the scanner measure."""
         scanner = self.scanner
-        m = self.scanner.points_per_line
-        hits = self._in_sight(cast(bodies, shots.origin, shots.direction, shots.time_s, first * m))
-        beyond = goes_behind(hits, bodies, scanner, first, self.seed)
+        first_shot = first * scanner.points_per_line
+
+        def cast_from(start_m: F64 | None) -> Hits:
+            hits = cast(bodies, shots.origin, shots.direction, shots.time_s, first_shot, start_m)
+            # beyond the sight, a body may or may not be among the bodies
+            far = hits.t > self.sight_m
+            hits.t[far] = np.inf
+            hits.body[far] = -1
+            hits.facing[far] = 0.0
+            return hits
+
+        hits = cast_from(None)
+        passes = goes_behind(hits, bodies, scanner, first, self.seed)
         behind = None
-        if beyond.any():
-            start_m = np.where(beyond, hits.t + BEHIND_M, np.inf)
-            behind = self._in_sight(
-                cast(bodies, shots.origin, shots.direction, shots.time_s, first * m, start_m)
-            )
+        if passes.any():
+            behind = cast_from(np.where(passes, hits.t + BEHIND_M, np.inf))
         returns = scan(hits, bodies, scanner, first, self.seed, behind)
         if self.flake_m:
             returns = in_snow(returns, self.flake_m, first, self.seed)
-        return _as_static(returns, bodies, shots, hits, behind) if scanner.is_static else returns
-
-    def _in_sight(self, hits: Hits) -> Hits:
-        # beyond the sight, a body may or may not be among the bodies
-        far = hits.t > self.sight_m
-        hits.t[far] = np.inf
-        hits.body[far] = -1
-        hits.facing[far] = 0.0
-        return hits
+        if not scanner.is_static:
+            return returns
+        return _with_static_labels(returns, bodies, shots, hits, behind)
 
 
 def load_simulator() -> None:
@@ -192,37 +189,39 @@ def lines_of(platform: Trajectory, scanner: Scanner, length_m: float) -> int:
     first = 0
     while first < MOST_LINES:
         start_s = scanner.line_time_s(first, LINES_LOOKED_AT)
-        there = platform.progress(start_s)[0] >= length_m
-        if there.any():
-            return max(1, first + int(np.argmax(there)))
+        has_arrived = platform.progress(start_s).distance >= length_m
+        if has_arrived.any():
+            return max(1, first + int(np.argmax(has_arrived)))
         first += LINES_LOOKED_AT
     where = "length_m"
     raise ConfigError(where, f"found {length_m:g}, expected a drive of at most {MOST_LINES} lines")
 
 
-def _as_static(
+def _with_static_labels(
     returns: Measured,
     bodies: Bodies,
     shots: Shots,
     hits: Hits,
     behind: Hits | None,
 ) -> Measured:
+    """Return measurements with the labels of :func:`static_labels`."""
 
     def relabelled(label: U8, range_m: F32, shot: Any) -> U8:
         way = range_m.astype(np.float64)
         body = hits.body[shot]
         if behind is not None:
-            nearer = np.abs(way - behind.t[shot]) < np.abs(way - hits.t[shot])
-            body = np.where(nearer, behind.body[shot], body)
+            off_front = np.abs(way - hits.t[shot])
+            off_behind = np.abs(way - behind.t[shot])
+            body = np.where(off_behind < off_front, behind.body[shot], body)
         place = shots.origin[shot] + way[..., None] * shots.direction[shot]
         labels = static_labels(label.ravel(), bodies, body.ravel(), place.reshape(-1, 3))
         return labels.reshape(label.shape)
 
-    further = returns.extra_line, returns.extra_column
+    extra_shots = returns.extra_line, returns.extra_column
     return replace(
         returns,
         label=relabelled(returns.label, returns.range_m, slice(None)),
-        extra_label=relabelled(returns.extra_label, returns.extra_range_m, further),
+        extra_label=relabelled(returns.extra_label, returns.extra_range_m, extra_shots),
     )
 
 
@@ -243,15 +242,19 @@ def in_snow(
     """Return measurements with flakes or drops before the surfaces; their returns are noise."""
     n_lines, m = returns.range_m.shape
     shot = (first_line * m + np.arange(n_lines * m, dtype=np.int64)).reshape(n_lines, m)
-    way = -flake_m * np.log1p(-hashed(seed, 40, shot))
-    seen = hashed(seed, 41, shot) < np.exp(-way / FLAKE_SEEN_M)
-    hit = seen & (way > NEAREST_FLAKE_M) & ~(way >= returns.range_m)
+    flake_range = -flake_m * np.log1p(-hashed(seed, 40, shot))
+    is_answered = hashed(seed, 41, shot) < np.exp(-flake_range / FLAKE_SEEN_M)
+    # a missing range does not hide a flake
+    is_hidden = flake_range >= returns.range_m
+    is_flake = is_answered & (flake_range > NEAREST_FLAKE_M) & ~is_hidden
     range_m = returns.range_m.copy()
     label = returns.label.copy()
     intensity = returns.intensity.copy()
-    range_m[hit] = way[hit]
-    label[hit] = Label.NOISE
-    intensity[hit] = FLAKE_POWER * (10.0 / way[hit]) ** 2 * (0.5 + hashed(seed, 42, shot[hit]))
+    flake_range = flake_range[is_flake]
+    brightness = 0.5 + hashed(seed, 42, shot[is_flake])
+    range_m[is_flake] = flake_range
+    label[is_flake] = Label.NOISE
+    intensity[is_flake] = FLAKE_POWER * (10.0 / flake_range) ** 2 * brightness
     return replace(returns, range_m=range_m, label=label, intensity=intensity)
 
 
@@ -282,9 +285,12 @@ def _relative(scanner: Scanner, first_line: int, range_m: F32) -> F32:
 
 def _cut(item: LabelledBlock, start: int, stop: int) -> LabelledBlock:
     stop = min(stop, item.block.n_lines)
-    inside = (item.block.extra.line >= start) & (item.block.extra.line < stop)
+    extra_line = item.block.extra.line
+    inside = (extra_line >= start) & (extra_line < stop)
     return LabelledBlock(
-        cut(item.block, start, stop), item.labels[start:stop], item.extra_labels[inside]
+        block=cut(item.block, start, stop),
+        labels=item.labels[start:stop],
+        extra_labels=item.extra_labels[inside],
     )
 
 
@@ -295,10 +301,12 @@ def ground_below(
     z_m: float,
 ) -> float:
     """Return the height of the surface under a place [m]; ``z_m`` if there is none."""
-    origin = np.array([[[x_m, y_m, z_m + 1.0]] * 2])
+    start_z = z_m + 1.0
+    origin = np.array([[[x_m, y_m, start_z]] * 2])
     down = np.array([[[0.0, 0.0, -1.0]] * 2])
-    t = cast(bodies_near(x_m, y_m, 1.0, 0.0), origin, down, np.zeros((1, 2))).t
-    return z_m + 1.0 - float(t[0, 0]) if np.isfinite(t[0, 0]) else z_m
+    bodies = bodies_near(x_m, y_m, 1.0, 0.0)
+    depth = float(cast(bodies, origin, down, np.zeros((1, 2))).t[0, 0])
+    return start_z - depth if np.isfinite(depth) else z_m
 
 
 def room_around(
@@ -315,11 +323,8 @@ def room_around(
     origin[:, :, 2] += heights[:, None]
     level = np.stack([np.cos(turns), np.sin(turns), np.zeros_like(turns)], axis=1)
     direction = np.broadcast_to(level, origin.shape)
-    return float(
-        cast(
-            bodies_near(x_m, y_m, LARGEST_ROOM_M, 0.0), origin, direction, np.zeros(len(heights))
-        ).t.min()
-    )
+    bodies = bodies_near(x_m, y_m, LARGEST_ROOM_M, 0.0)
+    return float(cast(bodies, origin, direction, np.zeros(len(heights))).t.min())
 
 
 LEVEL_COSINE = float(np.cos(np.deg2rad(45.0)))
@@ -359,21 +364,21 @@ def static_labels(
     to 45 degrees, sills, lintels, floors of balconies), else VERTICAL, as are trunks. People and
     wires have no class there and stay UNCLASSIFIED.
     """
-    of_material = np.array([PROPERTIES[material].label for material in Material], np.uint8)
-    label_of = np.array(
-        [_LABELS.get(material, PROPERTIES[material].label) for material in Material], np.uint8
-    )
+    usual_label = np.array([PROPERTIES[material].label for material in Material], np.uint8)
+    static_label = usual_label.copy()
+    for material, of_material in _LABELS.items():
+        static_label[material] = of_material
+    is_upright = np.isin(label, (Label.BUILDING, Label.POLE))
+    labels: U8 = np.where(is_upright, Label.VERTICAL, label).astype(np.uint8)
+    is_surface = (body >= 0) & (label != Label.NOISE) & (label != Label.MISSING)
+    shot = np.flatnonzero(is_surface)
+    materials = bodies.material[body[shot]]
     # a split shot has the label of the surface of its range, which may be the neighbour's
-    labels: U8 = np.where(
-        np.isin(label, (Label.BUILDING, Label.POLE)), Label.VERTICAL, label
-    ).astype(np.uint8)
-    shot = np.flatnonzero((body >= 0) & (label != Label.NOISE) & (label != Label.MISSING))
-    material = bodies.material[body[shot]]
-    known = of_material[material] == label[shot]
-    shot = shot[known]
-    material = material[known]
-    labels[shot] = label_of[material]
-    shot = shot[np.isin(material, _OF_EITHER)]
+    is_of_body = usual_label[materials] == label[shot]
+    shot = shot[is_of_body]
+    materials = materials[is_of_body]
+    labels[shot] = static_label[materials]
+    shot = shot[np.isin(materials, _OF_EITHER)]
     level = is_level(bodies, body[shot], place_m[shot])
     labels[shot] = np.where(level, Label.HORIZONTAL, Label.VERTICAL)
     return labels
@@ -384,19 +389,24 @@ def is_level(bodies: Bodies, body: I32, place_m: F64) -> Mask:
     shape = bodies.shape[body]
     numbers = bodies.numbers[body]
     level = np.zeros(len(body), np.bool_)
-    flat = np.flatnonzero(shape == Shape.TRIANGLE)
-    a = numbers[flat, 0:3]
-    b = numbers[flat, 3:6]
-    c = numbers[flat, 6:9]
+
+    triangle = np.flatnonzero(shape == Shape.TRIANGLE)
+    a = numbers[triangle, 0:3]
+    b = numbers[triangle, 3:6]
+    c = numbers[triangle, 6:9]
     normal = np.cross(b - a, c - a)
-    level[flat] = np.abs(normal[:, 2]) > LEVEL_COSINE * np.linalg.norm(normal, axis=1)
+    least = LEVEL_COSINE * np.linalg.norm(normal, axis=1)
+    level[triangle] = np.abs(normal[:, 2]) > least
+
+    # the face of the box that the place is nearest to
     box = np.flatnonzero((shape == Shape.BOX) & (bodies.density[body] == 0.0))
-    away = np.abs(place_m[box] - numbers[box, 0:3])
+    from_centre = place_m[box] - numbers[box, 0:3]
+    dx = from_centre[:, 0]
+    dy = from_centre[:, 1]
     half = numbers[box, 3:6]
     yaw = numbers[box, 6]
-    dx, dy = (place_m[box] - numbers[box, 0:3])[:, :2].T
-    away[:, 0] = np.abs(np.cos(yaw) * dx + np.sin(yaw) * dy)
-    away[:, 1] = np.abs(np.cos(yaw) * dy - np.sin(yaw) * dx)
-    # the face that the place is nearest to
-    level[box] = np.argmin(np.abs(away - half), axis=1) == 2
+    along_axes = np.abs(from_centre)
+    along_axes[:, 0] = np.abs(np.cos(yaw) * dx + np.sin(yaw) * dy)
+    along_axes[:, 1] = np.abs(np.cos(yaw) * dy - np.sin(yaw) * dx)
+    level[box] = np.argmin(np.abs(along_axes - half), axis=1) == 2
     return level

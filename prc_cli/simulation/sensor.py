@@ -63,7 +63,9 @@ def cast(
     """
     shape = origin_m.shape[:2]
     times = np.asarray(time_s, dtype=np.float64)
-    times = np.broadcast_to(times[:, None] if times.ndim == 1 else times, shape)
+    if times.ndim == 1:
+        times = times[:, None]
+    times = np.broadcast_to(times, shape)
     t_min = np.zeros(shape) if t_min_m is None else t_min_m
     yaw = np.where(bodies.shape >= Shape.ELLIPSOID, bodies.numbers[:, 6], 0.0)
     arrays = CastBodies(
@@ -142,24 +144,31 @@ def scan(
     ranges, labels, intensities, extra, extra_range, extra_label, extra_intensity = kernels.sense(
         hits, behind, surface, kind, _model(scanner), _quantiles(), first_line, seed
     )
-    lines = np.ascontiguousarray(extra[:, 0])
-    columns = np.ascontiguousarray(extra[:, 1])
     return Measured(
-        ranges, labels, intensities, lines, columns, extra_range, extra_label, extra_intensity
+        range_m=ranges,
+        label=labels,
+        intensity=intensities,
+        extra_line=np.ascontiguousarray(extra[:, 0]),
+        extra_column=np.ascontiguousarray(extra[:, 1]),
+        extra_range_m=extra_range,
+        extra_label=extra_label,
+        extra_intensity=extra_intensity,
     )
 
 
 def _about(bodies: Bodies) -> tuple[F64, U8]:
     """Return (reflectance, random number) and (label, bits) of bodies, (n, 2) each."""
-    reflectance = np.array([PROPERTIES[material].reflectance for material in Material])
-    label = np.array([PROPERTIES[material].label for material in Material], dtype=np.uint8)
-    is_glass = np.array([PROPERTIES[material].is_glass for material in Material])
+    properties = [PROPERTIES[material] for material in Material]
+    reflectance = np.array([material.reflectance for material in properties])
+    label = np.array([material.label for material in properties], dtype=np.uint8)
+    is_glass = np.array([material.is_glass for material in properties])
     # panes of one house have numbers close to each other, and mirror the same house across the
     # street
     mirrored = hashed(0, 32, bodies.number.astype(np.int64) // 32)
     surface = np.stack([reflectance[bodies.material], mirrored], axis=1)
-    curved = (bodies.shape == Shape.CONE) | (bodies.shape == Shape.ELLIPSOID)
-    bits = _GLASS * is_glass[bodies.material] + _LEAVED * (bodies.density > 0.0) + _CURVED * curved
+    is_leaved = bodies.density > 0.0
+    is_curved = (bodies.shape == Shape.CONE) | (bodies.shape == Shape.ELLIPSOID)
+    bits = _GLASS * is_glass[bodies.material] + _LEAVED * is_leaved + _CURVED * is_curved
     return surface, np.stack([label[bodies.material], bits.astype(np.uint8)], axis=1)
 
 

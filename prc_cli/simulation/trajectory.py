@@ -12,11 +12,11 @@ up).
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -167,6 +167,17 @@ class Station:
         return Pose(position, zero, zero, zero + self.yaw)
 
 
+class Progress(NamedTuple):
+    """How far and how fast a platform is at n times, (n,) float64 each."""
+
+    distance: F64
+    """Along the path [m]."""
+    speed: F64
+    """[m/s]"""
+    acceleration: F64
+    """[m/s²]"""
+
+
 class Trajectory:
     """A drive or walk along a scene's path."""
 
@@ -185,87 +196,98 @@ class Trajectory:
         self._wobbles = [_Wobble(seed, channel, fastest / 8.0, fastest) for channel in range(4)]
         self._gait_drift = _Wobble(seed, 4, 0.02, 0.1)
 
-    def progress(self, time_s: F64) -> tuple[F64, F64, F64]:
-        """Return distance [m], speed [m/s] and acceleration [m/s²] at times, (n,) float64 each."""
-        distance, speed, acceleration = self._stop_and_go(np.asarray(time_s, dtype=np.float64))
+    def progress(self, time_s: F64) -> Progress:
+        """Return how far and how fast the platform is at times (n,) float64 [s]."""
+        even = self._stop_and_go(np.asarray(time_s, dtype=np.float64))
         share = self.motion.speed_variation
         phase = hashed(self.seed, 5, np.zeros(1, np.int64))[0] * 2.0 * np.pi
-        around = distance / _WAVE_M + phase
+        around = even.distance / _WAVE_M + phase
         faster = 1.0 + share * np.cos(around)
-        acceleration = acceleration * faster - speed * speed * (share / _WAVE_M) * np.sin(around)
-        return (
-            distance + share * _WAVE_M * (np.sin(around) - np.sin(phase)),
-            speed * faster,
-            acceleration,
+        slower_m_s2 = even.speed * even.speed * (share / _WAVE_M) * np.sin(around)
+        return Progress(
+            distance=even.distance + share * _WAVE_M * (np.sin(around) - np.sin(phase)),
+            speed=even.speed * faster,
+            acceleration=even.acceleration * faster - slower_m_s2,
         )
 
     def pose(self, time_s: F64) -> Pose:
         """Return the pose at times, (n,) float64 [s]."""
         time_s = np.ascontiguousarray(time_s, dtype=np.float64)
         motion = self.motion
-        distance, speed, acceleration = self.progress(time_s)
+        progress = self.progress(time_s)
+        distance = progress.distance
+        speed = progress.speed
+
+        # slope and bend of the way, from a metre behind to a metre ahead
         ground, heading = self.path_point(distance)
+        behind_m = np.maximum(distance - 1.0, 0.0)
         ahead, heading_ahead = self.path_point(distance + 1.0)
-        behind, heading_behind = self.path_point(np.maximum(distance - 1.0, 0.0))
-        run = distance + 1.0 - np.maximum(distance - 1.0, 0.0)
+        behind, heading_behind = self.path_point(behind_m)
+        run = distance + 1.0 - behind_m
         slope = np.arctan((ahead[:, 2] - behind[:, 2]) / run)
         bend = np.sin(heading_ahead - heading_behind) / run
+
+        # bumps shake the platform more the faster it is
         moving = speed / motion.speed_m_s
         lively = 0.1 + 0.9 * moving
-        lean = np.deg2rad(motion.lean_deg)
-        roll, pitch, yaw, bounce = (
-            scale * lively * wobble.value(time_s)
-            for scale, wobble in zip(
-                (*np.deg2rad([motion.roll_deg, motion.pitch_deg, motion.yaw_deg]), motion.bounce_m),
-                self._wobbles,
-                strict=True,
-            )
-        )
+        of_roll, of_pitch, of_yaw, of_bounce = self._wobbles
+        roll_bump = np.deg2rad(motion.roll_deg) * lively * of_roll.value(time_s)
+        pitch_bump = np.deg2rad(motion.pitch_deg) * lively * of_pitch.value(time_s)
+        yaw_bump = np.deg2rad(motion.yaw_deg) * lively * of_yaw.value(time_s)
+        bounce = motion.bounce_m * lively * of_bounce.value(time_s)
+
         # two steps make a stride: the body goes up and down with each step, left and right with
         # each stride; nobody walks like a clock
         stride = np.pi * motion.gait_hz * time_s + 0.5 * self._gait_drift.value(time_s)
         swing = np.deg2rad(motion.gait_deg) * moving
-        roll = roll + swing * np.sin(stride) + lean * speed * speed * bend
-        pitch = pitch + 0.5 * swing * np.sin(2.0 * stride + 1.0) - lean * acceleration - slope
-        yaw = heading + yaw + swing * np.sin(stride + 0.7)
-        up = self.height_m + bounce + 0.5 * motion.bob_m * moving * np.sin(2.0 * stride)
+        bob = 0.5 * motion.bob_m * moving * np.sin(2.0 * stride)
         sway = 0.5 * motion.sway_m * moving * np.sin(stride + 0.3)
+
+        lean = np.deg2rad(motion.lean_deg)
+        pitch_lean = lean * progress.acceleration
+        roll = roll_bump + swing * np.sin(stride) + lean * speed * speed * bend
+        pitch = pitch_bump + 0.5 * swing * np.sin(2.0 * stride + 1.0) - pitch_lean - slope
+        yaw = heading + yaw_bump + swing * np.sin(stride + 0.7)
         turn = _turn(roll, pitch, yaw)
+        up = self.height_m + bounce + bob
         position = ground + turn[:, :, 2] * up[:, None] + turn[:, :, 1] * sway[:, None]
         return Pose(position, roll, pitch, yaw)
 
-    def _stop_and_go(self, time_s: F64) -> tuple[F64, F64, F64]:
-        """Return distance, speed and acceleration of a platform with even speed between stops."""
+    def _stop_and_go(self, time_s: F64) -> Progress:
+        """Return the progress of a platform with even speed between stops."""
         motion = self.motion
-        v = self.motion.speed_m_s
-        stretch = motion.stop_every_m
-        if stretch == 0.0:
-            return v * time_s, np.full_like(time_s, v), np.zeros_like(time_s)
+        speed_m_s = motion.speed_m_s
+        stretch_m = motion.stop_every_m
+        if stretch_m == 0.0:
+            even = np.full_like(time_s, speed_m_s)
+            return Progress(speed_m_s * time_s, even, np.zeros_like(time_s))
         brake_s = motion.braking_s
-        mean_s = stretch / v + brake_s + motion.stop_s
+        mean_s = stretch_m / speed_m_s + brake_s + motion.stop_s
         # a stretch begins at its number times the mean duration, earlier or later by less than a
         # mean stop: the sum of the stops before it telescopes
         number = np.maximum(np.floor(time_s / mean_s).astype(np.int64) - 1, 0)
         for _ in range(2):
             number = number + (time_s >= self._start_s(number + 1, mean_s))
-        into = time_s - self._start_s(number, mean_s)
+        since_s = time_s - self._start_s(number, mean_s)
+
+        # a stretch: cruising, braking, a stop, starting, cruising
+        stop_place = 0.3 + 0.4 * hashed(self.seed, 7, number)
+        cruise_s = stop_place * stretch_m / speed_m_s - 0.5 * brake_s
         halt_s = motion.stop_s + self._early(number + 1) - self._early(number)
-        cruise_s = (0.3 + 0.4 * hashed(self.seed, 7, number)) * stretch / v - 0.5 * brake_s
-        braking = np.clip((into - cruise_s) / brake_s, 0.0, 1.0)
-        starting = np.clip((into - cruise_s - brake_s - halt_s) / brake_s, 0.0, 1.0)
-        after = np.maximum(into - cruise_s - 2.0 * brake_s - halt_s, 0.0)
+        braking = np.clip((since_s - cruise_s) / brake_s, 0.0, 1.0)
+        starting = np.clip((since_s - cruise_s - brake_s - halt_s) / brake_s, 0.0, 1.0)
+        after_s = np.maximum(since_s - cruise_s - 2.0 * brake_s - halt_s, 0.0)
         # v/2 (1 + cos pi x) while braking, v/2 (1 - cos pi x) while starting, and their integrals
-        ways = (
-            braking + np.sin(np.pi * braking) / np.pi + starting - np.sin(np.pi * starting) / np.pi
+        braking_way = braking + np.sin(np.pi * braking) / np.pi
+        ways = braking_way + starting - np.sin(np.pi * starting) / np.pi
+        at_speed_s = np.minimum(since_s, cruise_s) + 0.5 * brake_s * ways + after_s
+        twice_share = 2.0 + np.cos(np.pi * braking) - np.cos(np.pi * starting)
+        hardest_m_s2 = 0.5 * speed_m_s * np.pi / brake_s
+        return Progress(
+            distance=number * stretch_m + speed_m_s * at_speed_s,
+            speed=0.5 * speed_m_s * np.maximum(twice_share, 0.0),
+            acceleration=hardest_m_s2 * (np.sin(np.pi * starting) - np.sin(np.pi * braking)),
         )
-        distance = number * stretch + v * (
-            np.minimum(into, cruise_s) + 0.5 * brake_s * ways + after
-        )
-        speed = 0.5 * v * np.maximum(2.0 + np.cos(np.pi * braking) - np.cos(np.pi * starting), 0.0)
-        acceleration = (
-            0.5 * v * np.pi / brake_s * (np.sin(np.pi * starting) - np.sin(np.pi * braking))
-        )
-        return distance, speed, acceleration
 
     def _start_s(self, number: I64, mean_s: float) -> F64:
         """Return when stretches begin, (n,) float64 [s]."""
@@ -302,13 +324,25 @@ class _Wobble:
 
 def _turn(roll: F64, pitch: F64, yaw: F64) -> F64:
     """Return yaw after pitch after roll as matrices, (n, 3, 3) float64."""
-    cr, sr, cp, sp, cy, sy = (f(angle) for angle in (roll, pitch, yaw) for f in (np.cos, np.sin))
-    rows = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
+    cos_r = np.cos(roll)
+    sin_r = np.sin(roll)
+    cos_p = np.cos(pitch)
+    sin_p = np.sin(pitch)
+    cos_y = np.cos(yaw)
+    sin_y = np.sin(yaw)
+    forward = [cos_y * cos_p, sin_y * cos_p, -sin_p]
+    left = [
+        cos_y * sin_p * sin_r - sin_y * cos_r,
+        sin_y * sin_p * sin_r + cos_y * cos_r,
+        cos_p * sin_r,
     ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    up = [
+        cos_y * sin_p * cos_r + sin_y * sin_r,
+        sin_y * sin_p * cos_r - cos_y * sin_r,
+        cos_p * cos_r,
+    ]
+    rows = [np.stack(row, axis=-1) for row in zip(forward, left, up, strict=True)]
+    return np.stack(rows, axis=-2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -331,31 +365,32 @@ def aim(
 ) -> Shots:
     """Return the rays of consecutive lines, straight between poses every few ms."""
     m = scanner.points_per_line
+    # rings that fire late for a line come from the firings after it
     late = scanner.late_lines
-    row = np.arange(n_lines)[:, None] + late
-    column = np.arange(m)
-    n_lines += int(late.max())
+    n_firings = n_lines + int(late.max())
     line_s = scanner.shot_s * m
     n_knots = 1 if scanner.turns else max(int(np.ceil(line_s / _KNOT_S)), 1)
-    start_s = scanner.line_time_s(first_line, n_lines)
+    start_s = scanner.line_time_s(first_line, n_firings)
     knot_s = start_s[:, None] + np.arange(n_knots + 1) * (line_s / n_knots)
     pose = platform.pose(knot_s.ravel())
-    turn = pose.turn().reshape(n_lines, n_knots + 1, 3, 3)
+    turn = pose.turn().reshape(n_firings, n_knots + 1, 3, 3)
     if scanner.turns:
         # a head that spins turns on while the rings fire
-        line = np.arange(first_line, first_line + n_lines)[:, None] + np.array(
-            [0.0, scanner.duty * scanner.spins]
-        )
-        azimuth = np.deg2rad(scanner.first_azimuth_deg + scanner.azimuth_step_deg * line).ravel()
+        firing = np.arange(first_line, first_line + n_firings)[:, None]
+        line = firing + np.array([0.0, scanner.duty * scanner.spins])
+        azimuth_deg = scanner.first_azimuth_deg + scanner.azimuth_step_deg * line
+        azimuth = np.deg2rad(azimuth_deg).ravel()
         zero = np.zeros(len(azimuth))
         turn = turn @ _turn(zero, zero, azimuth).reshape(turn.shape)
-    position = pose.position.reshape(n_lines, n_knots + 1, 3)
+    position = pose.position.reshape(n_firings, n_knots + 1, 3)
     origin, direction = kernels.aim_shots(
         position, np.ascontiguousarray(turn), scanner.directions()
     )
+    column = np.arange(m)
     time_s = start_s[:, None] + column * scanner.shot_s
     if not late.any():
         return Shots(origin, direction, time_s)
+    row = np.arange(n_lines)[:, None] + late
     return Shots(origin[row, column], direction[row, column], time_s[row, column])
 
 
@@ -391,30 +426,29 @@ def write_trajectory(
     frame: Frame = WORLD,
     into: Path | None = None,
 ) -> None:
-    """Write the trajectory from time 0: SBET (``.sbet``, ``.out``), else CSV with degrees."""
+    """Write the trajectory from time 0: SBET (``.sbet``, ``.out``), else CSV with degrees.
+
+    The last time is at the duration or just after it.
+    """
     is_sbet = path.suffix.lower() in SBET_SUFFIXES
     earth = _earth(path, frame) if is_sbet else None
     target = atomic_output(path) if into is None else contextlib.nullcontext(into)
+    n_times = int(np.ceil(duration_s * hz)) + 1
     with target as temporary, temporary.open("wb") as handle:
         if earth is None:
             handle.write((",".join(_COLUMNS) + "\n").encode())
-        for time_s, pose, velocity in _positions(platform, duration_s, hz):
+        for first in range(0, n_times, _BATCH):
+            time_s = np.arange(first, min(first + _BATCH, n_times)) / hz
+            pose = platform.pose(time_s)
             xyz_m = pose.position + frame.origin()
             if earth is None:
                 angles = np.degrees(np.stack([pose.roll, pose.pitch, pose.yaw], axis=1))
                 rows = np.column_stack([time_s + start_s, xyz_m, angles])
                 np.savetxt(handle, rows, "%.6f,%.4f,%.4f,%.4f,%.5f,%.5f,%.5f")
             else:
+                half_later = platform.pose(time_s + 0.5 / hz)
+                velocity = (half_later.position - pose.position) * (2.0 * hz)
                 handle.write(_records(earth, time_s + start_s, xyz_m, pose, velocity).tobytes())
-
-
-def _positions(platform: Platform, duration_s: float, hz: float) -> Iterator[tuple[F64, Pose, F64]]:
-    """Yield times, poses and velocities, the last time at the duration or just after it."""
-    n = int(np.ceil(duration_s * hz)) + 1
-    for first in range(0, n, _BATCH):
-        time_s = np.arange(first, min(first + _BATCH, n)) / hz
-        pose = platform.pose(time_s)
-        yield time_s, pose, (platform.pose(time_s + 0.5 / hz).position - pose.position) * (2.0 * hz)
 
 
 def check_frame(path: Path, frame: Frame) -> None:
@@ -440,16 +474,14 @@ def _earth(path: Path, frame: Frame) -> pyproj.Proj:
         raise ConfigError(str(path), problem, "pip install prc-cli[crs]") from None
     try:
         crs = pyproj.CRS.from_user_input(frame.crs)
-        if not crs.is_projected or any(
-            axis.unit_conversion_factor != 1.0 for axis in crs.axis_info
-        ):
+        is_metric = all(axis.unit_conversion_factor == 1.0 for axis in crs.axis_info)
+        if not crs.is_projected or not is_metric:
             problem = f"coordinate system {frame.crs[:40]!r} is not a projected one in metres"
             raise ConfigError(str(path), problem, "give one, for example EPSG:32635")
         return pyproj.Proj(crs)
     except pyproj.exceptions.ProjError as error:
-        problem = (
-            f"coordinate system {frame.crs[:40]!r} cannot be used ({str(error).splitlines()[0]})"
-        )
+        why = str(error).splitlines()[0]
+        problem = f"coordinate system {frame.crs[:40]!r} cannot be used ({why})"
         raise ConfigError(str(path), problem, "give another, for example EPSG:32635") from None
 
 
