@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from prc_cli.core.stream import Assumption, ReadTally
     from prc_cli.core.types import I64
     from prc_cli.formats.writing.record import RunRecord
-    from prc_cli.jobs.classify import Progress
+    from prc_cli.jobs.run import Progress
 
 
 NOT_KEPT = "not kept: "

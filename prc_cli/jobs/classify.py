@@ -8,26 +8,25 @@ the threads.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from prc_cli.config import CHOSEN_FROM, LoadedConfig, RunConfig, resolve
-from prc_cli.core.brief import Brief
-from prc_cli.core.classes import ClassCodes, Label, count_bytes
+from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import ConfigError, DoubtWarning, InputError
-from prc_cli.core.files import check_unchanged, file_state, suffix_of
-from prc_cli.core.findings import Doubted, Finding, accept, doubts, notices, refuse
+from prc_cli.core.files import suffix_of
+from prc_cli.core.findings import Finding, accept, doubts, refuse
 from prc_cli.core.process import return_memory
 from prc_cli.core.profile import timed, timed_items
-from prc_cli.core.stream import FAR_M, LabelledBlock, ReadTally, ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.threads import close_items, default_threads, read_ahead, write_behind
-from prc_cli.core.types import F32, F64, I64, U8
+from prc_cli.core.types import F32, F64, U8
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.input import Input
 from prc_cli.formats.joined import JoinedInput
@@ -35,8 +34,13 @@ from prc_cli.formats.las import LAZ
 from prc_cli.formats.outputs import open_writer, prepare_label_outputs
 from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.registry import is_cloud
-from prc_cli.formats.writing.columns import LabelOutput, OutputConfig, asked_columns
-from prc_cli.formats.writing.record import Fingerprint, FingerprintBeside, RunRecord, fingerprint
+from prc_cli.formats.writing.columns import (
+    LabelOutput,
+    OutputConfig,
+    Placement,
+    asked_columns,
+)
+from prc_cli.formats.writing.record import FingerprintBeside
 from prc_cli.jobs.choice import (
     choice_by_beams,
     choice_by_request,
@@ -46,15 +50,13 @@ from prc_cli.jobs.choice import (
 )
 from prc_cli.jobs.coordinates import placement
 from prc_cli.jobs.progress import advance
+from prc_cli.jobs.run import Counts, Progress, Run, RunSummary
 from prc_cli.kernels import Engine, load_kernels, use_engine
 from prc_cli.methods.base import LABELS_ALONE, MethodParams, UsualLabels, Wanted
 from prc_cli.methods.run import run_blocks
 from prc_cli.streams.evidence.result import ResultWatch
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.open import open_input
-
-Progress: TypeAlias = Callable[[int], None]
-"""Called with the number of scan lines that are finished since the last call."""
 
 AHEAD = 1
 """Blocks waiting between reader and classifier, and between classifier and writer.
@@ -70,87 +72,31 @@ OFF_M = 0.1
 """Largest difference between a range and the length of its coordinates, by rounding [m]."""
 
 
-@dataclass(frozen=True, slots=True, repr=False)
-class Counts(Brief):
-    """Running counts of a stream."""
+@dataclass(frozen=True, slots=True)
+class OutputNeeds:
+    """What an output needs of the blocks beside their ranges."""
 
-    n_lines: int
-    n_shots: int
-    n_far: int
-    """Ranges longer than :data:`FAR_M`, implausible for a terrestrial scanner."""
-    labels: I64
-    """(number of labels,) int64, records by :class:`~prc_cli.core.classes.Label`.
-
-    For MISSING it is the number of shots.
-    """
-    tally: ReadTally
-    n_extra: int = field(default=0, repr=False)
-    """Further returns."""
-    scanners: Mapping[int, int] = field(default_factory=dict, repr=False)
-    """M by scanner."""
+    geometry: bool = False
+    """Scan angles, from which a new point cloud gets coordinates."""
+    only_ranges: bool = True
+    """Neither times nor intensities, which only a cloud that is built from blocks has."""
+    checks_layers: bool = False
+    """Every layer of LAZ: all are copied as bytes, and one that is not read may be damaged."""
 
     @classmethod
-    def none(cls) -> Counts:
-        """Return the counts before the first block."""
-        return cls(0, 0, 0, np.zeros(len(Label), np.int64), ReadTally())
-
-    def add(self, item: LabelledBlock | ScanBlock, *, only_records: bool = False) -> Counts:
-        """Return the counts with one more block.
-
-        ``only_records`` leaves out cells and lines without a record.
-        """
-        block = item.block if isinstance(item, LabelledBlock) else item
-        # index of the counted cells and of the counted further returns: all of them, or a mask
-        cells: Any = ...
-        further: Any = ...
-        n_lines = block.n_lines
-        if only_records:
-            cells = block.records() >= 0
-            further = block.extra.record >= 0
-            n_lines = int(cells.any(axis=1).sum())
-        ranges = block.range_m[cells]
-        if isinstance(item, LabelledBlock):
-            labels = (
-                count_bytes(item.labels[cells])[: len(Label)]
-                + count_bytes(item.extra_labels[further])[: len(Label)]
-            )
-        else:
-            labels = np.zeros(len(Label), np.int64)
-            labels[Label.MISSING] = np.count_nonzero(np.isnan(ranges))
-        return Counts(
-            n_lines=self.n_lines + n_lines,
-            n_shots=self.n_shots + ranges.size,
-            n_far=self.n_far + int(np.count_nonzero(ranges > FAR_M)),
-            labels=self.labels + labels,
-            tally=self.tally + block.tally,
-            n_extra=self.n_extra + len(block.extra.record[further]),
-            scanners={block.scanner: block.points_per_line, **self.scanners},
+    def of(cls, scan: Input, output: Path, options: OutputConfig) -> OutputNeeds:
+        """Return the needs of a classified output."""
+        makes_cloud = is_cloud(output)
+        suffix = suffix_of(output)
+        is_rewritten = scan.is_las and suffix in LAS_SUFFIXES
+        return cls(
+            geometry=makes_cloud and not scan.keeps_points(output),
+            only_ranges=not makes_cloud or is_rewritten,
+            checks_layers=suffix == LAZ and not asked_columns(options),
         )
 
-    @property
-    def n_missing(self) -> int:
-        """Shots without return."""
-        return int(self.labels[Label.MISSING])
 
-
-@dataclass(frozen=True, slots=True, repr=False)
-class RunSummary(Doubted):
-    """Summary of a run."""
-
-    output: Path
-    record: RunRecord
-    """Provenance and what was written, as stored in the output.
-
-    ``.notices`` holds warnings for the user.
-    """
-    counts: Counts
-    """Lines, shots and labels of the stream."""
-    findings: tuple[Finding, ...] = ()
-    """Results of all checks of the input and of its labels."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the run record with the warnings, for JSON."""
-        return {**self.record.as_dict(), "doubts": [doubt.as_dict() for doubt in self.doubts]}
+ALL_VALUES = OutputNeeds(geometry=True, only_ranges=False)
 
 
 def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None) -> ScanStream:
@@ -181,12 +127,9 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
 def open_for_method(
     scan: Input | JoinedInput,
     config: RunConfig,
-    *,
-    geometry: bool = True,
-    only_ranges: bool = False,
-    checks_layers: bool = False,
+    output_needs: OutputNeeds = ALL_VALUES,
 ) -> ScanStream:
-    """Open an input; with ``geometry`` blocks have angles even if the method needs none."""
+    """Open an input for its method and for the output; default: blocks with all values."""
     # without a method the input is read as for PRC, which needs the least
     params = config.classifier if config.is_decided else config.prc
     needs = params.method().needs
@@ -194,10 +137,10 @@ def open_for_method(
         scan,
         config.input,
         lines_at_once=needs.lines_per_block or 1,
-        geometry=geometry or config.needs_beams,
-        only_ranges=only_ranges,
+        geometry=output_needs.geometry or config.needs_beams,
+        only_ranges=output_needs.only_ranges,
         with_intensity=needs.intensity,
-        checks_layers=checks_layers,
+        checks_layers=output_needs.checks_layers,
     )
     if not config.needs_beams:
         return stream
@@ -211,16 +154,13 @@ def open_decided(
     scan: Input | JoinedInput,
     loaded: LoadedConfig,
     engine: Engine,
+    output_needs: OutputNeeds,
     *,
-    geometry: bool,
-    only_ranges: bool,
     loading: Callable[[], AbstractContextManager[None]],
-    checks_layers: bool = False,
 ) -> tuple[LoadedConfig, ScanStream]:
     """Open an input for the named method, else for the method that prc chooses.
 
-    ``loading`` is the context in which the loops of a chosen method are loaded;
-    ``checks_layers`` is that of :func:`prc_cli.streams.open.open_input`.
+    ``loading`` is the context in which the loops of a chosen method are loaded.
     """
     config = loaded.config
     if not config.is_decided:
@@ -232,26 +172,19 @@ def open_decided(
                 scan,
                 config.input,
                 lines_at_once=config.fused.method().needs.lines_per_block or 1,
-                only_ranges=only_ranges,
-                checks_layers=checks_layers,
+                only_ranges=output_needs.only_ranges,
+                checks_layers=output_needs.checks_layers,
             )
             choice, stream = choose(stream, config)
         loaded = decided_by(choice, loaded)
         with loading():
             load_classifier(loaded, engine)
         chosen = loaded.config
-        lacks_intensity = only_ranges and chosen.classifier.method().needs.intensity
+        lacks_intensity = output_needs.only_ranges and chosen.classifier.method().needs.intensity
         if stream is not None and chosen.needs_beams and not lacks_intensity:
             return loaded, stream
         # else this stream has more or less than the method needs, and the input is opened again
-    stream = open_for_method(
-        scan,
-        loaded.config,
-        geometry=geometry,
-        only_ranges=only_ranges,
-        checks_layers=checks_layers,
-    )
-    return loaded, stream
+    return loaded, open_for_method(scan, loaded.config, output_needs)
 
 
 def label_blocks(
@@ -383,35 +316,24 @@ def _classify(
     """Classify one file with the engine that is set; see :func:`classify`."""
     return_memory()  # must be called before any thread starts
     prepare_label_outputs(output, overwrite=overwrite, inputs=loaded.inputs(scan.path))
-    scan.check()
-    state_at_start = file_state(scan.path)
+    run = Run(scan, loaded, progress)
+    output_needs = OutputNeeds.of(scan, output, loaded.config.output)
     with timed("opening"):
-        makes_cloud = is_cloud(output)
-        is_las_to_las = scan.is_las and suffix_of(output) in LAS_SUFFIXES
-        # only a cloud that is built from blocks needs times and intensities
-        only_ranges = not makes_cloud or is_las_to_las
-        is_new_cloud = makes_cloud and not scan.keeps_points(output)
-        # LAZ to LAZ copies all layers as bytes: those not read here are decoded to find damage
-        copies_layers = suffix_of(output) == LAZ and not asked_columns(loaded.config.output)
-        loaded, opened = open_decided(
-            scan,
-            loaded,
-            engine,
-            geometry=is_new_cloud,
-            only_ranges=only_ranges,
-            loading=loading,
-            checks_layers=copies_layers,
-        )
+        loaded, opened = open_decided(scan, loaded, engine, output_needs, loading=loading)
+        run.loaded = loaded
         needs = loaded.config.classifier.method().needs
         if loaded.config.output.confidence:
             # raises an error if the method has no confidence
             confidence_kernels(loaded.config.classifier)
         stream = watched(opened, loaded.config.input, needs=needs, others=loaded.findings)
+    coordinates: AbstractContextManager[Placement | None] = nullcontext()
+    if output_needs.geometry:
+        coordinates = placement(scan, output, loaded, opened)
     with (
         FingerprintBeside(
             scan.path, threads=threads, hashes=loaded.config.input.window is None
         ) as fingerprint_beside,
-        placement(scan, output, loaded, opened) if is_new_cloud else nullcontext() as place,
+        coordinates as place,
         open_writer(
             LabelOutput(
                 path=output,
@@ -429,13 +351,10 @@ def _classify(
             overwrite=overwrite,
         ) as writer,
     ):
-        counts, findings, notes = write_labels(stream, writer, loaded.config, threads, progress)
-        record = run_record(stream.info, counts, loaded, fingerprint_beside.result())
-        record = replace(record, notices=(*record.notices, *notes), engine=engine)
-        check_unchanged(scan.path, state_at_start)
-        with timed("finishing the output"):
-            record = writer.finish(record)
-    return RunSummary(output, record, counts, findings)
+        run.counts, findings, notes = write_labels(stream, writer, loaded.config, threads, progress)
+        record = run.record(stream.info, findings, notes, fingerprint_beside.result())
+        record = run.finish(writer, replace(record, engine=engine))
+    return RunSummary(output, record, run.counts, findings)
 
 
 class LabelSink(Protocol):
@@ -496,7 +415,7 @@ def write_labels(
 ) -> tuple[Counts, tuple[Finding, ...], tuple[str, ...]]:
     """Read, classify and write in parallel; return when all threads have ended.
 
-    The results are the counts, the results of the checks and the notices for the user.
+    The results are the counts, the results of the checks and the notices of the method.
     """
     counts = Counts.none()
     judge = Judge(stream, config)
@@ -526,7 +445,7 @@ def write_labels(
     method_notices = config.classifier.method().notices(
         counts.labels, counts.tally, segments=config.output.segment_ids
     )
-    return counts, findings, (*method_notices, *notices(findings))
+    return counts, findings, method_notices
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -813,36 +732,3 @@ def _coordinates(xyz_m: ArrayLike, range_m: F32) -> F32:
         problem = f"found points {median_m:.3g} m farther or nearer than their ranges (median)"
         raise InputError("xyz_m", f"{problem}, expected coordinates relative to the scanner")
     return xyz
-
-
-def run_record(
-    info: StreamInfo,
-    counts: Counts,
-    loaded: LoadedConfig,
-    input_print: Fingerprint | None = None,
-) -> RunRecord:
-    """Return the provenance of a finished run; without ``input_print`` the input is read again."""
-    config = loaded.config
-    # the hash and the number of records are those of the complete file
-    is_complete = config.input.window is None
-    if input_print is None:
-        input_print = fingerprint(Path(info.path), hashes=is_complete)
-    n_records = counts.tally.n_records
-    if is_complete and info.n_records is not None:
-        n_records = info.n_records
-    assumptions = info.assumptions
-    if loaded.choice is not None:
-        assumptions = (loaded.choice.assumption, *assumptions)
-    return RunRecord(
-        config=config.of_run(),
-        input=input_print,
-        trajectory=None if loaded.trajectory is None else fingerprint(loaded.trajectory),
-        format=info.format,
-        points_per_line=info.points_per_line,
-        n_lines=counts.n_lines,
-        n_records=n_records,
-        n_missing=counts.n_missing,
-        assumptions=assumptions,
-        tally=counts.tally,
-        notices=(*loaded.notes, *info.facts.notes),
-    )

@@ -16,8 +16,7 @@ import numpy as np
 
 from prc_cli.config import LoadedConfig, RunConfig, resolve
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import atomic_outputs, check_unchanged, file_state
-from prc_cli.core.findings import Doubted, Finding, notices
+from prc_cli.core.files import atomic_outputs
 from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import Mask
 from prc_cli.formats import LAS_SUFFIXES
@@ -38,9 +37,8 @@ from prc_cli.formats.writing.base import StreamItem, StreamShape
 from prc_cli.formats.writing.columns import LinesApart
 from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.formats.writing.record import RunRecord, fingerprint, record_path
-from prc_cli.jobs.classify import Counts, Progress, run_record
 from prc_cli.jobs.coordinates import XYZ, Carried, axes_of, carry, lines_apart
-from prc_cli.jobs.progress import advance
+from prc_cli.jobs.run import Counts, Progress, Run, RunSummary
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import GridStream
 from prc_cli.streams.open import grid_of, open_input
@@ -65,25 +63,30 @@ _STREAM_NAMES = frozenset(
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class ConversionSummary(Doubted):
+class ConversionSummary(RunSummary):
     """Summary of a conversion."""
 
-    output: Path
-    record: RunRecord
-    """Provenance, as stored beside the output; its notices include the losses."""
-    losses: tuple[str, ...]
+    losses: tuple[str, ...] = ()
     """Values of the input that the output format cannot contain, one sentence each."""
-    n_lines: int
-    n_shots: int
-    n_returned: int
-    """Shots with a range."""
-    findings: tuple[Finding, ...] = ()
-    """Results of all checks of the stream; empty if only the compression changed."""
+
+    @property
+    def n_lines(self) -> int:
+        """Scan lines; 0 if only the compression changed."""
+        return self.counts.n_lines
+
+    @property
+    def n_shots(self) -> int:
+        """Shots, or records if only the compression changed."""
+        return self.counts.n_shots
+
+    @property
+    def n_returned(self) -> int:
+        """Shots with a range."""
+        return self.counts.n_shots - self.counts.n_missing
 
     def as_dict(self) -> dict[str, object]:
         """Return the run record with the losses and the warnings, for JSON."""
-        doubts = [doubt.as_dict() for doubt in self.doubts]
-        return {**self.record.as_dict(), "not_kept": list(self.losses), "doubts": doubts}
+        return {**RunSummary.as_dict(self), "not_kept": list(self.losses)}
 
 
 def convert(
@@ -125,8 +128,7 @@ def convert(
         if loaded.config.input.window is None:
             return _copy(scan, output, loaded)
         return _copy_window(scan, output, loaded, progress)
-    before = file_state(scan.path)
-    counts = Counts.none()
+    run = Run(scan, loaded, progress)
     watches: list[EvidenceStream] = []
 
     def watched_blocks(stream: ScanStream) -> Iterator[ScanBlock]:
@@ -140,29 +142,15 @@ def convert(
     ):
         for item in opened.items:
             writer.add_item(item)
-            counts = counts.add(item.block)
-            advance(progress, item.block, opened.info, loaded.config.input.window)
-        info = opened.stream.info  # now the lines of a window are known
-        losses = find_losses(output, opened, counts, writer.losses)
-        record = run_record(info, counts, loaded)
-        notes = tuple(f"not kept: {loss}" for loss in losses)
+            run.see(item.block, opened.info)
+        losses = find_losses(output, opened, run.counts, writer.losses)
+        not_kept = (f"not kept: {loss}" for loss in losses)
+        notes = (*opened.notices, *not_kept, *how_to_read(output, opened, run.counts))
         findings = watches[-1].findings()
-        notes += how_to_read(output, opened, counts)
-        record = replace(
-            record, notices=(*record.notices, *opened.notices, *notes, *notices(findings))
-        )
-        record = record_of_scanners(record, counts)
-        check_unchanged(scan.path, before)
-        record = writer.finish(record)
-    return ConversionSummary(
-        output,
-        record,
-        losses,
-        counts.n_lines,
-        counts.n_shots,
-        counts.n_shots - counts.n_missing,
-        findings,
-    )
+        info = opened.stream.info  # now the lines of a window are known
+        record = run.record(info, findings, notes)
+        record = run.finish(writer, record_of_scanners(record, run.counts))
+    return ConversionSummary(output, record, run.counts, findings, losses)
 
 
 def record_of_scanners(record: RunRecord, counts: Counts) -> RunRecord:
@@ -187,10 +175,10 @@ def prepare_output(
 def _copy(scan: Input, output: Path, loaded: LoadedConfig) -> ConversionSummary:
     """Change the compression of a LAS or LAZ file and nothing else."""
     las = read_las(scan.path)
-    before = file_state(scan.path)
+    run = Run(scan, loaded)
     with atomic_outputs(output, record_path(output)) as (temporary, beside):
         notes = copy_las(las, output, temporary)
-        check_unchanged(scan.path, before)
+        run.check_unchanged()
         record = RunRecord(
             config=loaded.config.to_table(),
             input=fingerprint(scan.path),
@@ -200,7 +188,7 @@ def _copy(scan: Input, output: Path, loaded: LoadedConfig) -> ConversionSummary:
             notices=("records were copied as bytes; no stream was read", *notes),
         )
         beside.write_bytes(record.to_json())
-    return ConversionSummary(output, record, (), 0, las.n_records, las.n_records)
+    return ConversionSummary(output, record, replace(run.counts, n_shots=las.n_records))
 
 
 def _copy_window(
@@ -211,8 +199,7 @@ def _copy_window(
 ) -> ConversionSummary:
     """Copy the records of a window of a LAS or LAZ file; nothing else changes."""
     las = read_las(scan.path)
-    before = file_state(scan.path)
-    counts = Counts.none()
+    run = Run(scan, loaded, progress)
     with contextlib.ExitStack() as stack:
         temporary, beside = stack.enter_context(atomic_outputs(output, record_path(output)))
         stays = stack.enter_context(DiskColumn(output, np.uint8, 0, n_records=las.n_records))
@@ -221,12 +208,11 @@ def _copy_window(
         stop = 0
         info = stream.info
         for block in stream.blocks():
-            counts = counts.add(block)
+            run.see(block, info)
             record = np.concatenate([block.records().ravel(), block.extra.record])
             record = record[record >= 0]
             stays.put(record, np.ones(len(record), np.uint8))
             stop = max(stop, int(record.max(initial=-1)) + 1)
-            advance(progress, block, info, loaded.config.input.window)
 
         def masks(n: int) -> Iterator[Mask]:
             return (
@@ -235,23 +221,12 @@ def _copy_window(
             )
 
         notes = copy_las(las, output, temporary, masks)
-        check_unchanged(scan.path, before)
+        run.check_unchanged()
         findings = stream.findings()
-        record_of_run = run_record(stream.info, counts, loaded)
         copied = "the records of the window were copied as bytes"
-        record_of_run = replace(
-            record_of_run, notices=(*record_of_run.notices, copied, *notes, *notices(findings))
-        )
+        record_of_run = run.record(stream.info, findings, (copied, *notes))
         beside.write_bytes(record_of_run.to_json())
-    return ConversionSummary(
-        output,
-        record_of_run,
-        (),
-        counts.n_lines,
-        counts.n_shots,
-        counts.n_shots - counts.n_missing,
-        findings,
-    )
+    return ConversionSummary(output, record_of_run, run.counts, findings)
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,12 +24,13 @@ from prc_cli.core.files import (
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.html import as_html
 from prc_cli.evaluation.mapping import load_mapping
-from prc_cli.jobs.classify import Progress, RunSummary, classify
+from prc_cli.jobs.classify import classify
 from prc_cli.jobs.evaluate import evaluate_all
 from prc_cli.jobs.evaluate.pictures import class_pictures
 from prc_cli.jobs.render import RenderOptions, render
 from prc_cli.jobs.render.colours import origin
 from prc_cli.jobs.render.viewer import render_viewer
+from prc_cli.jobs.run import Progress, RunSummary
 from prc_cli.jobs.simulate import Beside, simulate
 from prc_cli.simulation.settings import Kind, load_settings
 

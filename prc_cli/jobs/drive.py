@@ -16,6 +16,7 @@ import numpy as np
 from prc_cli.config import LoadedConfig, with_layout_beside
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import check_unchanged, file_state, make_folder, whole_set
+from prc_cli.core.findings import notices
 from prc_cli.core.process import return_memory
 from prc_cli.core.stream import LabelledBlock, ReadTally
 from prc_cli.core.types import I64
@@ -34,15 +35,13 @@ from prc_cli.formats.writing.base import StagedWriter
 from prc_cli.formats.writing.columns import LabelOutput
 from prc_cli.formats.writing.record import fingerprint
 from prc_cli.jobs.classify import (
-    Counts,
-    Progress,
-    RunSummary,
+    OutputNeeds,
     open_decided,
-    run_record,
     threads_of,
     user_names,
     write_labels,
 )
+from prc_cli.jobs.run import Counts, Progress, RunSummary, run_record
 from prc_cli.kernels import Engine, use_engine
 from prc_cli.streams.evidence.watch import watched
 from prc_cli.streams.registered.source import sorts_by_itself
@@ -165,9 +164,7 @@ class _StreamRun:
         return_memory()  # before any thread
         before = [file_state(part.path) for part in self.parts]
         scan = self.parts[0] if len(self.parts) == 1 else JoinedInput(self.parts)
-        loaded, opened = open_decided(
-            scan, loaded, engine, geometry=False, only_ranges=True, loading=loading
-        )
+        loaded, opened = open_decided(scan, loaded, engine, OutputNeeds(), loading=loading)
         needs = loaded.config.classifier.method().needs
         stream = watched(opened, loaded.config.input, needs=needs, others=loaded.findings)
         firsts = joined.firsts()
@@ -192,7 +189,9 @@ class _StreamRun:
                 )
             ]
             divided = DividedWriter(writers, firsts)
-            _, findings, notices = write_labels(stream, divided, loaded.config, threads, progress)
+            _, findings, method_notices = write_labels(
+                stream, divided, loaded.config, threads, progress
+            )
             for part, state in zip(self.parts, before, strict=True):
                 check_unchanged(part.path, state)
             for number, (part, writer) in enumerate(zip(self.parts, writers, strict=True)):
@@ -201,7 +200,8 @@ class _StreamRun:
                 notes = (
                     *loaded.notes,
                     *joined.notes(number),
-                    *notices,
+                    *method_notices,
+                    *notices(findings),
                     *self.notes[-1 if number else 0 :],
                 )
                 n_records = firsts[number + 1] - firsts[number]

@@ -23,8 +23,9 @@ from prc_cli.core.threads import close_items, default_threads
 from prc_cli.core.window import Window
 from prc_cli.formats.input import Input
 from prc_cli.jobs.choice import decide
-from prc_cli.jobs.classify import Progress, label_blocks, load_classifier, open_for_method
+from prc_cli.jobs.classify import label_blocks, load_classifier, open_for_method
 from prc_cli.jobs.progress import advance
+from prc_cli.jobs.run import Progress
 from prc_cli.methods.base import Wanted
 from prc_cli.methods.reasons import Rule, rule_of
 

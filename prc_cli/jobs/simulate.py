@@ -18,7 +18,6 @@ from typing import Literal
 
 import numpy as np
 
-from prc_cli.core.brief import Brief
 from prc_cli.core.classes import LABEL_NAMES, Label
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, whole_set
@@ -40,7 +39,7 @@ from prc_cli.formats.trajectory import SBET_SUFFIXES
 from prc_cli.formats.writing.base import StreamItem, StreamShape
 from prc_cli.formats.writing.disk import NpyFile
 from prc_cli.formats.writing.record import ClassCount, Fingerprint, RunRecord
-from prc_cli.jobs.classify import Counts, Progress
+from prc_cli.jobs.run import Counts, Progress, RunSummary
 from prc_cli.simulation.drive import SimulatedBlock
 from prc_cli.simulation.forest.scene import ForestScene
 from prc_cli.simulation.scanners import Scanner
@@ -63,14 +62,10 @@ STEM_STEP_M = 10.0
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class SimulationSummary(Brief):
-    """Summary of a simulation."""
+class SimulationSummary(RunSummary):
+    """Summary of a simulation; the record has parameters, seed, version and classes."""
 
-    output: Path
-    record: RunRecord
-    """Provenance, as stored beside the output: parameters, seed, version, classes."""
-    counts: Counts
-    files: tuple[Path, ...]
+    files: tuple[Path, ...] = ()
     """All files written, including the run record."""
 
     def as_dict(self) -> dict[str, object]:
@@ -180,7 +175,8 @@ def simulate(
             codes_file = NpyFile(handle, "|u1")
         frames = None if files.frames is None else stack.enter_context(FrameFolder(files.frames))
         record, counts = _write(simulation, output, codes_file, frame, frames, progress)
-    return SimulationSummary(output, record, counts, (*outputs_of(output), *files.paths()))
+    written = (*outputs_of(output), *files.paths())
+    return SimulationSummary(output, record, counts, files=written)
 
 
 def _write(

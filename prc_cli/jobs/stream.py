@@ -19,7 +19,8 @@ from prc_cli.core.findings import Doubted, Finding
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import U8
 from prc_cli.jobs.choice import decide_stream
-from prc_cli.jobs.classify import Counts, load_classifier
+from prc_cli.jobs.classify import load_classifier
+from prc_cli.jobs.run import Counts
 from prc_cli.methods.run import run_blocks
 from prc_cli.streams.evidence.result import ResultWatch
 from prc_cli.streams.evidence.watch import LiveEvidence, watched

@@ -35,8 +35,9 @@ from prc_cli.jobs.batch.types import (
     Problem,
     Task,
 )
-from prc_cli.jobs.classify import Progress, RunSummary, classify, load_classifier
+from prc_cli.jobs.classify import classify, load_classifier
 from prc_cli.jobs.drive import classify_drive
+from prc_cli.jobs.run import Progress, RunSummary
 
 READY = "ready"
 """First message of a worker."""

@@ -46,8 +46,9 @@ from prc_cli.jobs.calibrate.search import (
 )
 from prc_cli.jobs.calibrate.sensor import SensorEstimate, SensorMeter
 from prc_cli.jobs.choice import decide
-from prc_cli.jobs.classify import Progress, open_for_method
+from prc_cli.jobs.classify import open_for_method
 from prc_cli.jobs.progress import advance
+from prc_cli.jobs.run import Progress
 from prc_cli.methods.prc.surfaces import area_threshold
 from prc_cli.streams.evidence.watch import watched
 

@@ -26,24 +26,22 @@ from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import (
     atomic_output,
-    check_unchanged,
-    file_state,
     output_errors,
     prepare_outputs,
     whole_set,
 )
-from prc_cli.core.findings import Doubted, Finding, notices
+from prc_cli.core.findings import Doubted, Finding
 from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream
-from prc_cli.core.types import U8
+from prc_cli.core.types import F64, U8
 from prc_cli.formats.input import Input
 from prc_cli.formats.labels import NAMES
 from prc_cli.formats.writing.base import StreamItem
 from prc_cli.formats.writing.record import RunRecord, record_path
 from prc_cli.jobs.choice import decide
-from prc_cli.jobs.classify import Counts, Judge, Progress, run_record
+from prc_cli.jobs.classify import Judge
 from prc_cli.jobs.convert import open_items
 from prc_cli.jobs.objects.grow import RULES, Grower, Rule, ScanObject, runs_of
-from prc_cli.jobs.progress import advance
+from prc_cli.jobs.run import Counts, Progress, Run
 from prc_cli.methods.base import Wanted
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
@@ -224,7 +222,7 @@ def find_objects(
     if out is not None:
         check_suffix(out)
         prepare_outputs(out, record_path(out), overwrite=overwrite, inputs=loaded.inputs(scan.path))
-    before = file_state(scan.path)
+    run = Run(scan, loaded, progress)
     with whole_set(), ExitStack() as stack:
         rules: dict[Label, Rule] = {}
         notice = ""
@@ -232,21 +230,21 @@ def find_objects(
             rules, notice = _rules_of_file(scan, loaded, kinds)
         takes_classes = bool(rules)
         if not takes_classes:
-            loaded = decide(scan, loaded)
-            rules = rules_for(loaded.config, kinds)
+            run.loaded = decide(scan, loaded)
+            rules = rules_for(run.loaded.config, kinds)
         put = None if out is None else stack.enter_context(open_list(out))
-        run = _ObjectRun(scan, loaded, rules, notice, takes_classes=takes_classes)
+        finder = _Finder(run, rules, notice, takes_classes=takes_classes)
         # coordinates of the records wait beside the output, or in the folder for temporary files
         beside = out
         if beside is None:
             folder = stack.enter_context(TemporaryDirectory(prefix="prc-objects-"))
             beside = Path(folder) / "objects.csv"
-        for scan_object in run.objects(beside, progress):
+        for scan_object in finder.objects(beside):
             for call in (put, each):
                 if call is not None:
                     call(scan_object)
-        check_unchanged(scan.path, before)
-        summary = run.summary()
+        run.check_unchanged()
+        summary = finder.summary()
         if out is not None:
             record_file = stack.enter_context(atomic_output(record_path(out)))
             record_file.write_bytes(summary.record.to_json())
@@ -282,20 +280,18 @@ def _rules_of_file(
     return {}, f"the file has classes, but none of: {', '.join(labels)}; it is classified again"
 
 
-class _ObjectRun:
-    """One call of :func:`find_objects`."""
+class _Finder:
+    """Finds the objects of a run."""
 
     def __init__(
         self,
-        scan: Input,
-        loaded: LoadedConfig,
+        run: Run,
         rules: dict[Label, Rule],
         notice: str,
         *,
         takes_classes: bool,
     ) -> None:
-        self._scan = scan
-        self._loaded = loaded
+        self._run = run
         self._rules = rules
         self._notice = notice
         self._takes_classes = takes_classes
@@ -304,22 +300,23 @@ class _ObjectRun:
         # the first of several labels with one code wins
         for label in reversed(Label):
             if label is not Label.MISSING:
-                self._label_of[loaded.config.classes.code(label)] = label
+                self._label_of[run.loaded.config.classes.code(label)] = label
         self._growers: dict[int, Grower] = {}
-        self._counts = Counts.none()
         self._n = Counter[str]()
         self._watch: EvidenceStream | None = None
         self._judge: Judge | None = None
         self._findings: tuple[Finding, ...] = ()
 
-    def objects(self, output: Path, progress: Progress | None) -> Iterator[ScanObject]:
+    def objects(self, output: Path) -> Iterator[ScanObject]:
+        run = self._run
         with open_items(
-            self._scan, output, self._loaded, blocks_of=self._blocks, codes=self._takes_classes
+            run.scan, output, run.loaded, blocks_of=self._blocks, codes=self._takes_classes
         ) as opened:
             for item in opened.items:
-                for scan_object in self._add(item):
+                labelled = item.labelled or self._stored_labels(item)
+                for scan_object in self._add(labelled, item.registered_m):
                     yield self._numbered(scan_object)
-                advance(progress, item.block, opened.info, self._loaded.config.input.window)
+                run.see(labelled, opened.info)
             for _, grower in sorted(self._growers.items()):
                 for scan_object in grower.finish():
                     yield self._numbered(scan_object)
@@ -328,24 +325,23 @@ class _ObjectRun:
 
     def summary(self) -> ObjectsSummary:
         assert self._watch is not None
-        record = run_record(self._watch.info, self._counts, self._loaded)
-        texts = filter(None, (self._notice, *notices(self._findings)))
-        record = replace(record, notices=(*record.notices, *texts))
+        notes = (self._notice,) if self._notice else ()
+        record = self._run.record(self._watch.info, self._findings, notes)
         kinds = (label.name.lower() for label in self._rules)
         return ObjectsSummary(
-            record, self._counts, {kind: self._n[kind] for kind in kinds}, self._findings
+            record, self._run.counts, {kind: self._n[kind] for kind in kinds}, self._findings
         )
 
     def _blocks(self, stream: ScanStream) -> Iterator[ScanBlock] | Iterator[LabelledBlock]:
         """Watch the blocks of a stream, and label them unless the input has classes."""
-        config = self._loaded.config
+        config = self._run.loaded.config
         # classes of the input need no method: it is checked as for PRC, which needs the least
         params = config.prc if self._takes_classes else config.classifier
         first = next(stream.blocks(), None)
         has_xyz = first is not None and first.xyz_m is not None
         stream = with_beams(stream, config.input)
         self._watch = watched(
-            stream, config.input, needs=params.method().needs, others=self._loaded.findings
+            stream, config.input, needs=params.method().needs, others=self._run.loaded.findings
         )
         # with_beams adds coordinates to blocks of a leaning scan plane: they are not of the input
         if self._takes_classes:
@@ -360,16 +356,16 @@ class _ObjectRun:
             for item in labelled
         )
 
-    def _add(self, item: StreamItem) -> Iterator[ScanObject]:
-        block = item.block
-        labelled = item.labelled or self._stored_labels(item)
-        self._counts = self._counts.add(labelled)
-        if labelled.block.beam_rad is None:
+    def _add(self, labelled: LabelledBlock, registered_m: F64 | None) -> Iterator[ScanObject]:
+        block = labelled.block
+        if block.beam_rad is None:
             raise InputError(
-                str(self._scan), "no beam angles, expected those of every column", "see prc info"
+                str(self._run.scan),
+                "no beam angles, expected those of every column",
+                "see prc info",
             )
         grower = self._growers.setdefault(block.scanner, Grower(block.scanner, self._rules))
-        runs = runs_of(labelled, tuple(self._rules), item.registered_m)
+        runs = runs_of(labelled, tuple(self._rules), registered_m)
         for line, runs_of_line in groupby(runs, attrgetter("last_line")):
             yield from grower.add(runs_of_line, line)
         yield from grower.add((), block.first_line + block.n_lines)

@@ -15,7 +15,6 @@ from prc_cli.formats.input import Input
 from prc_cli.imaging.sheet import Key, Panel, choose_columns, draw_sheet
 from prc_cli.imaging.viewer import html_page
 from prc_cli.jobs.choice import decide, decided_by
-from prc_cli.jobs.classify import Progress
 from prc_cli.jobs.render.options import (
     CAPTIONS,
     COLOURS,
@@ -26,6 +25,7 @@ from prc_cli.jobs.render.options import (
     RenderResult,
 )
 from prc_cli.jobs.render.scan import NOT_LABELLED, Drawing, describe, draw_scan
+from prc_cli.jobs.run import Progress
 
 
 def render(

@@ -25,7 +25,7 @@ from prc_cli.imaging.cloud import (
 )
 from prc_cli.imaging.pictures import Bar, Limits
 from prc_cli.imaging.sheet import Axis, Key, Panel, round_step
-from prc_cli.jobs.classify import Progress, classify, open_for_method
+from prc_cli.jobs.classify import classify, open_for_method
 from prc_cli.jobs.render.colours import (
     SCALES,
     RecordClasses,
@@ -38,6 +38,7 @@ from prc_cli.jobs.render.colours import (
 )
 from prc_cli.jobs.render.options import ColourBy, RenderOptions, RenderResult
 from prc_cli.jobs.render.scan import of_station
+from prc_cli.jobs.run import Progress
 
 AXES = ("x", "y", "z")
 NO_CLASSES = (0, 1)

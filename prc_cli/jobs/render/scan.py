@@ -31,7 +31,7 @@ from prc_cli.imaging.pictures import (
     trigger_picture,
 )
 from prc_cli.imaging.sheet import FRAME_HEIGHT, Axis, Key, Panel, zoom_for
-from prc_cli.jobs.classify import Progress, label_blocks, open_for_method
+from prc_cli.jobs.classify import label_blocks, open_for_method
 from prc_cli.jobs.progress import advance
 from prc_cli.jobs.render.colours import (
     LABEL_TABLE,
@@ -48,6 +48,7 @@ from prc_cli.jobs.render.colours import (
     vocabulary,
 )
 from prc_cli.jobs.render.options import CAPTIONS, PRC_STEPS, RenderOptions, choose_steps
+from prc_cli.jobs.run import Progress
 from prc_cli.methods.base import MethodParams, OneByOne, Wanted
 from prc_cli.methods.prc.pipeline import (
     PrcParams,

@@ -25,7 +25,7 @@ from prc_cli.formats.records import Source
 from prc_cli.formats.writing.columns import behind
 from prc_cli.imaging.viewer import ClassEntry, Shots, Values, viewer_page
 from prc_cli.jobs.choice import decide
-from prc_cli.jobs.classify import Progress, label_blocks
+from prc_cli.jobs.classify import label_blocks
 from prc_cli.jobs.coordinates import placed_source, spacing
 from prc_cli.jobs.render.cloud import AXES, NO_CLASSES, Cloud
 from prc_cli.jobs.render.colours import (
@@ -48,6 +48,7 @@ from prc_cli.jobs.render.scan import (
     turns,
     upright,
 )
+from prc_cli.jobs.run import Progress
 from prc_cli.methods.base import Wanted
 from prc_cli.methods.reasons import sentences
 

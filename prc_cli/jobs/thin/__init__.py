@@ -23,13 +23,11 @@ from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import (
     atomic_outputs,
-    check_unchanged,
-    file_state,
     output_errors,
     prepare_outputs,
     suffix_of,
 )
-from prc_cli.core.findings import Doubted, Finding, notices
+from prc_cli.core.findings import Finding
 from prc_cli.core.stream import LabelledBlock, ScanStream, StreamInfo
 from prc_cli.core.types import Mask
 from prc_cli.formats import LAS_SUFFIXES, scan_file
@@ -44,7 +42,7 @@ from prc_cli.formats.writing.columns import LabelOutput
 from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.formats.writing.record import Fingerprint, RunRecord, record_path
 from prc_cli.jobs.choice import decide
-from prc_cli.jobs.classify import Counts, Judge, Progress, run_record
+from prc_cli.jobs.classify import Judge
 from prc_cli.jobs.convert import (
     OpenedItems,
     find_losses,
@@ -53,7 +51,7 @@ from prc_cli.jobs.convert import (
     prepare_output,
     record_of_scanners,
 )
-from prc_cli.jobs.progress import advance
+from prc_cli.jobs.run import Counts, Progress, Run, RunSummary
 from prc_cli.jobs.thin.frames import frames_of, labels_of, thin_frames
 from prc_cli.jobs.thin.rules import ThinRule, choose, parse_rules, without
 from prc_cli.matching.sides import CONFIDENCE
@@ -86,17 +84,18 @@ class ClassSaving:
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class ThinningSummary(Doubted):
+class ThinningSummary(RunSummary):
     """Summary of a thinning."""
 
-    output: Path
-    record: RunRecord
-    classes: tuple[ClassSaving, ...]
-    rules: tuple[str, ...]
-    bytes_input: int
-    bytes_output: int
-    n_lines: int
-    findings: tuple[Finding, ...] = ()
+    classes: tuple[ClassSaving, ...] = ()
+    rules: tuple[str, ...] = ()
+    bytes_input: int = 0
+    bytes_output: int = 0
+
+    @property
+    def n_lines(self) -> int:
+        """Scan lines of the input."""
+        return self.counts.n_lines
 
     def as_dict(self) -> dict[str, object]:
         """Return everything as plain values, for JSON."""
@@ -210,20 +209,18 @@ def _thin_file(
         labels = _labels_of_input(scan)
     if labels == CLASSIFY:
         loaded = decide(scan, loaded)
-    run = _ThinRun(scan, output, rules, loaded, labels, **common)
-    label_files = () if run.labels is None else (run.labels,)
+    label_file = None if labels is None or labels == CLASSIFY else Path(labels)
+    label_files = () if label_file is None else (label_file,)
     if is_bag(output):
         scan.check()
         inputs = loaded.inputs(scan.path, *label_files)
         prepare_outputs(output, record_path(output), overwrite=overwrite, inputs=inputs)
     else:
         prepare_output(scan, output, loaded, overwrite=overwrite, more=label_files)
-    before = file_state(scan.path)
-    if scan.is_las and suffix_of(output) in LAS_SUFFIXES:
-        record = run.copy(progress, before)
-    else:
-        record = run.write(progress, before)
-    return run.summary(record)
+    run = Run(scan, loaded, progress)
+    thinner = _Thinner(run, output, rules, label_file, classify=labels == CLASSIFY, **common)
+    is_copied = scan.is_las and suffix_of(output) in LAS_SUFFIXES
+    return thinner.summary(thinner.copy() if is_copied else thinner.write())
 
 
 def _labels_of_input(scan: Input) -> Path | str | None:
@@ -333,40 +330,41 @@ def _folder_summary(
     return ThinningSummary(
         output,
         record,
-        classes,
-        first.rules,
+        sum((summary.counts for summary in summaries), Counts.none()),
+        findings=tuple(doubts.values()),
+        classes=classes,
+        rules=first.rules,
         bytes_input=sum(summary.bytes_input for summary in summaries),
         bytes_output=sum(summary.bytes_output for summary in summaries),
-        n_lines=sum(summary.n_lines for summary in summaries),
-        findings=tuple(doubts.values()),
     )
 
 
 _METHOD = "classified on the way: "
 
 
-class _ThinRun:
-    """One file of a call of :func:`thin`."""
+class _Thinner:
+    """Thins the file of a run."""
 
     def __init__(
         self,
-        scan: Input,
+        run: Run,
         output: Path,
         rules: tuple[ThinRule, ...],
-        loaded: LoadedConfig,
-        labels: Path | str | None,
+        labels: Path | None,
         *,
+        classify: bool,
         min_confidence: int | None,
         keep_empty: bool,
         is_frame: bool = False,
     ) -> None:
-        self.scan = scan
+        self.run = run
+        self.scan = run.scan
         self.output = output
         self.rules = rules
-        self.loaded = loaded
-        self.classify = labels == CLASSIFY
+        self.loaded = run.loaded
+        self.labels = labels
+        self.classify = classify
         self.min_confidence = min_confidence
-        self.labels = None if labels is None or self.classify else Path(labels)
         self.keep_empty = keep_empty
         self.is_frame = is_frame
         self.n_unsure = 0
@@ -376,11 +374,10 @@ class _ThinRun:
         self.n_input = Counter[int]()
         self.n_kept = Counter[int]()
         """Returns by class code."""
-        self.counts = Counts.none()
         self._judge: Judge | None = None
         self._findings: tuple[Finding, ...] = ()
 
-    def copy(self, progress: Progress | None, before: tuple[int, ...]) -> RunRecord:
+    def copy(self) -> RunRecord:
         """Copy a LAS or LAZ file without the records of dropped returns."""
         las = read_las(self.scan.path)
         check_copied(las)
@@ -401,9 +398,9 @@ class _ThinRun:
                     dropped = np.concatenate([dropped, block.extra.record[~kept_extra]])
                     dropped = dropped[dropped >= 0]
                     stays.put(dropped, np.zeros(len(dropped), np.uint8))
-                    advance(progress, block, opened.info)
+                    self.run.see(block, opened.info)
                 self._check_labels(opened.info)
-                if len(set(self.counts.scanners.values())) > 1:
+                if len(set(self.run.counts.scanners.values())) > 1:
                     hints += (
                         "lines of scanners differ in length: "
                         "the highest column that is left is taken for it",
@@ -417,40 +414,36 @@ class _ThinRun:
                 record,
             )
             record = replace(record, notices=(*record.notices, *notices))
-            check_unchanged(self.scan.path, before)
+            self.run.check_unchanged()
             record_file.write_bytes(record.to_json())
         return record
 
-    def write(self, progress: Progress | None, before: tuple[int, ...]) -> RunRecord:
+    def write(self) -> RunRecord:
         """Write the stream without the dropped shots, or the points of the input without them."""
         with self._open(xyz=not is_bag(self.output)) as (opened, items):
             if is_bag(self.output) or (
                 opened.shape.rings and not self.keep_empty and self.scan.keeps_points(self.output)
             ):
-                return self._rewrite(opened, items, progress, before)
+                return self._rewrite(opened, items)
             shape = replace(opened.shape, codes=True)
             with open_stream_writer(self.output, replace(shape, compress=True)) as writer:
                 for item in items:
                     writer.add_item(without(item, *self._choose(item)))
-                    advance(progress, item.block, opened.info)
+                    self.run.see(item.block, opened.info)
                 self._check_labels(opened.info)
                 opened = replace(opened, shape=shape)
                 losses = (
                     f"not kept: {loss}"
-                    for loss in find_losses(self.output, opened, self.counts, writer.losses)
+                    for loss in find_losses(self.output, opened, self.run.counts, writer.losses)
                 )
-                hints = (*opened.notices, *losses, *how_to_read(self.output, opened, self.counts))
-                record = self._record(opened.info, hints)
-                check_unchanged(self.scan.path, before)
-                return writer.finish(record)
+                hints = (
+                    *opened.notices,
+                    *losses,
+                    *how_to_read(self.output, opened, self.run.counts),
+                )
+                return self.run.finish(writer, self._record(opened.info, hints))
 
-    def _rewrite(
-        self,
-        opened: OpenedItems,
-        items: Iterator[StreamItem],
-        progress: Progress | None,
-        before: tuple[int, ...],
-    ) -> RunRecord:
+    def _rewrite(self, opened: OpenedItems, items: Iterator[StreamItem]) -> RunRecord:
         """Remove points from a cloud or a bag, and add the classes of the other points."""
         config = self.loaded.config
         labels = LabelOutput(
@@ -467,11 +460,9 @@ class _ThinRun:
                 kept, kept_extra = self._choose(item)
                 codes = _codes_of(item.codes, kept), _codes_of(item.extra_codes, kept_extra)
                 writer.add_item(StreamItem(item.block, *codes))
-                advance(progress, item.block, opened.info)
+                self.run.see(item.block, opened.info)
             self._check_labels(opened.info)
-            record = self._record(opened.info, opened.notices)
-            check_unchanged(self.scan.path, before)
-            return writer.finish(record)
+            return self.run.finish(writer, self._record(opened.info, opened.notices))
 
     def summary(self, record: RunRecord) -> ThinningSummary:
         names = {**self.loaded.config.classes.names(), NO_CODE: "none"}
@@ -492,9 +483,15 @@ class _ThinRun:
             for code, n, kept in counts
         )
         rules = tuple(map(str, self.rules))
-        n_lines = self.counts.n_lines
         return ThinningSummary(
-            self.output, record, classes, rules, bytes_input, bytes_output, n_lines, self._findings
+            self.output,
+            record,
+            self.run.counts,
+            self._findings,
+            classes,
+            rules,
+            bytes_input,
+            bytes_output,
         )
 
     @contextlib.contextmanager
@@ -537,7 +534,6 @@ class _ThinRun:
                 for item in opened.items:
                     block = item.block
                     labels = item.labelled
-                    self.counts = self.counts.add(block)
                     if file_codes is not None:
                         codes = file_codes.get(block.records())
                         extra_codes = file_codes.get(block.extra.record)
@@ -603,7 +599,9 @@ class _ThinRun:
         """Refuse a label file of another length than the input."""
         if self.labels is None:
             return
-        n_records = info.n_records if info.n_records is not None else self.counts.tally.n_records
+        n_records = (
+            info.n_records if info.n_records is not None else self.run.counts.tally.n_records
+        )
         if self._n_labels != n_records:
             raise self._other_labels(self.labels, self._n_labels, n_records)
 
@@ -629,12 +627,11 @@ class _ThinRun:
             f"thinned: {n_input - n_all_kept} of {n_input} returns were dropped "
             "and are missing in this file"
         )
-        record = run_record(info, self.counts, self.loaded)
         choice = self.loaded.choice if self.classify else None
         method = () if choice is None else (f"{_METHOD}method {choice.method}: {choice.why}",)
         self._findings = () if self._judge is None else self._judge.findings()
-        all_notices = (*record.notices, *method, note, *texts, *hints, *notices(self._findings))
-        return record_of_scanners(replace(record, notices=all_notices), self.counts)
+        record = self.run.record(info, self._findings, (*method, note, *texts, *hints))
+        return record_of_scanners(record, self.run.counts)
 
     def _rule_notice(self, rule: ThinRule) -> str:
         n = _n_of_rule(self.n_input, rule)
