@@ -120,7 +120,7 @@ class Format:
 
     def column_source(self, path: Path) -> Source | None:
         """Open the columns of a file as records; None if it has none."""
-        if self.records:
+        if self.records and suffix_of(path) in self.scans:
             return self.open_records(path, None)
         return _call(self.columns, path) if self.columns else None
 

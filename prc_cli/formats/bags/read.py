@@ -12,7 +12,8 @@ import numpy as np
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption, ScanBlock, StreamInfo
-from prc_cli.formats.bags.cloud import CLOUD, CloudLines, parse_cloud
+from prc_cli.formats.bags.cloud import CLOUD, parse_cloud
+from prc_cli.formats.bags.cloud_lines import CloudLines
 from prc_cli.formats.bags.containers import Bag, Message, Topic
 from prc_cli.formats.bags.laser import ECHOES, LASER, LaserLines, LaserScan, parse_laser
 from prc_cli.formats.bags.messages import OUSTER, PACKED, ShortMessageError, parse_packets

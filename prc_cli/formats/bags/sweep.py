@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from prc_cli.core.types import F32, F64, I64, Mask
-from prc_cli.formats.packets.columns import MAX_SHIFT
+from prc_cli.formats.firings import MAX_SHIFT
 
 SAME_SHOT_RAD = 3e-4
 """Returns of one shot differ less in azimuth; columns are 0.05 deg apart and more [rad]."""

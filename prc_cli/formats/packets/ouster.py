@@ -20,7 +20,7 @@ import numpy as np
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import read_small
 from prc_cli.core.types import F32, F64, I64, U8
-from prc_cli.formats.packets.columns import Columns, choose, columns_of
+from prc_cli.formats.firings import Columns, choose, columns_of
 
 MAX_METADATA = 1 << 20
 """Longest metadata file [bytes]."""

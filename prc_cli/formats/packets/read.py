@@ -13,10 +13,10 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption, ScanBlock, StreamInfo
 from prc_cli.core.types import U8
+from prc_cli.formats.firings import ColumnLines
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised.scans import RULED_OUT, check_rules, check_width
 from prc_cli.formats.packets.capture import CaptureCount, Datagram, read_datagrams
-from prc_cli.formats.packets.columns import ColumnLines
 from prc_cli.formats.packets.ouster import Metadata, OusterDecoder, read_metadata
 from prc_cli.formats.packets.repeats import Repeats
 from prc_cli.formats.packets.spinning import (

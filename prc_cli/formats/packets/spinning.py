@@ -24,14 +24,8 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.files import read_small
 from prc_cli.core.process import absent
 from prc_cli.core.types import F64, I64, U8
-from prc_cli.formats.packets.columns import (
-    MAX_SHIFT,
-    Columns,
-    PacketClock,
-    choose,
-    columns_of,
-    place,
-)
+from prc_cli.formats.firings import MAX_SHIFT, Columns, choose, columns_of
+from prc_cli.formats.packets.clock import PacketClock, place
 
 _TURN = 36000
 """Azimuths are in hundredths of a degree."""

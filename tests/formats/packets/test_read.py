@@ -19,7 +19,7 @@ from prc_cli.core.blocks import join
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.packets import columns as columns_module
+from prc_cli.formats.packets import spinning
 from prc_cli.formats.packets.read import PacketStream
 from tests.formats.packets import captures as made
 from tests.runner import runner
@@ -292,7 +292,7 @@ def test_every_hesai_has_the_distances_of_its_packets(tmp_path: Path, name: str,
     assert f"Hesai {name} at" in " ".join(
         assumption.value + assumption.why for assumption in stream.info.assumptions
     )
-    table = json.loads((Path(columns_module.__file__).parent / "hesai.json").read_text())[name]
+    table = json.loads((Path(spinning.__file__).parent / "hesai.json").read_text())[name]
     order = np.argsort(table["elevation_deg"], kind="stable")
     metres = np.where(units < 4, np.nan, units * 0.004)[:, order]
     wanted = np.fmax(metres[::2], metres[1::2]) if mode == 0x39 else metres
