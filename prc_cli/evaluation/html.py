@@ -119,44 +119,48 @@ def line_chart(
     n = len(names)
     parts = [
         f'<svg class="chart" viewBox="0 0 {_WIDTH} {_HEIGHT}" '
-        f'role="img" aria-label="{escape(title)}">',
-        *_grid(),
-        *_bars(names, counts),
-        *_tick_labels(ticks, axis),
-        *_break_lines(breaks, n),
+        f'role="img" aria-label="{escape(title)}">'
     ]
+    right = _WIDTH - _RIGHT
+    for tenths in range(0, 11, 2):
+        y = _y(tenths / 10)
+        label = f"{tenths / 10:.1f}"
+        parts.append(f'<line class="grid" x1="{_LEFT}" x2="{right}" y1="{y:.1f}" y2="{y:.1f}"/>')
+        parts.append(f'<text x="{_LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{label}</text>')
+    parts += _bars(names, counts)
+    parts += _tick_labels(ticks, axis)
+    bottom = _TOP + _PLOT_HEIGHT + _GAP + _BAR_HEIGHT
+    for i in sorted(breaks):
+        x = (_x(i - 1, n) + _x(i, n)) / 2
+        parts.append(f'<line class="break" x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP}" y2="{bottom}"/>')
     for curve in curves:
-        colour = class_colour(curve.name)
-        points = [(_x(i, n), _y(value)) for i, value in enumerate(curve.values)]
-        runs = _runs(points, breaks)
-        paths = [" ".join(f"{x:.1f},{y:.1f}" for x, y in run) for run in runs if len(run) > 1]
-        parts.append(f'<g class="curve" style="--class:{colour}">')
-        parts += [
-            f'<polyline class="rim" points="{path}"/><polyline points="{path}"/>' for path in paths
-        ]
-        alone = {run[0] for run in runs if len(run) == 1}
-        for (x, y), name, value in zip(points, names, curve.values, strict=True):
-            if not math.isnan(y) and (n <= _MAX_MARKS or (x, y) in alone):
-                tip = escape(f"{curve.name}, {name}: {value:.3f}")
-                parts.append(
-                    f"<g><title>{tip}</title>{mark(curve.place, x, y, 3.6 if n <= 30 else 2.2)}</g>"
-                )
-        parts.append("</g>")
+        parts += _curve(curve, names, breaks)
     parts.append("</svg>")
     return "".join(parts)
 
 
-def _grid() -> list[str]:
-    lines = []
-    for tenths in range(0, 11, 2):
-        y = _y(tenths / 10)
-        lines.append(
-            f'<line class="grid" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>'
-        )
-        lines.append(
-            f'<text x="{_LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{tenths / 10:.1f}</text>'
-        )
-    return lines
+def _curve(curve: Curve, names: Sequence[str], breaks: Collection[int]) -> Iterator[str]:
+    """Yield lines between defined points, cut at breaks, and a mark at every point."""
+    n = len(names)
+    points = [(_x(i, n), _y(value)) for i, value in enumerate(curve.values)]
+    runs: list[list[tuple[float, float]]] = [[]]
+    for i, (x, y) in enumerate(points):
+        if i in breaks or math.isnan(y):
+            runs.append([])
+        if not math.isnan(y):
+            runs[-1].append((x, y))
+    yield f'<g class="curve" style="--class:{class_colour(curve.name)}">'
+    for run in runs:
+        if len(run) > 1:
+            path = " ".join(f"{x:.1f},{y:.1f}" for x, y in run)
+            yield f'<polyline class="rim" points="{path}"/><polyline points="{path}"/>'
+    alone = {run[0] for run in runs if len(run) == 1}
+    size = 3.6 if n <= 30 else 2.2
+    for (x, y), name, value in zip(points, names, curve.values, strict=True):
+        if not math.isnan(y) and (n <= _MAX_MARKS or (x, y) in alone):
+            tip = escape(f"{curve.name}, {name}: {value:.3f}")
+            yield f"<g><title>{tip}</title>{mark(curve.place, x, y, size)}</g>"
+    yield "</g>"
 
 
 def _bars(names: Sequence[str], counts: Sequence[int]) -> list[str]:
@@ -199,27 +203,6 @@ def _tick_labels(ticks: Sequence[str], axis: str) -> list[str]:
         f'text-anchor="middle">{escape(axis)}</text>'
     )
     return labels
-
-
-def _break_lines(breaks: Collection[int], n: int) -> list[str]:
-    bottom = _TOP + _PLOT_HEIGHT + _GAP + _BAR_HEIGHT
-    places = [(_x(i - 1, n) + _x(i, n)) / 2 for i in sorted(breaks)]
-    return [
-        f'<line class="break" x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP}" y2="{bottom}"/>' for x in places
-    ]
-
-
-def _runs(
-    points: Sequence[tuple[float, float]], breaks: Collection[int]
-) -> list[list[tuple[float, float]]]:
-    """Return the points in runs to be joined by lines, split at undefined points and breaks."""
-    runs: list[list[tuple[float, float]]] = [[]]
-    for i, point in enumerate(points):
-        if i in breaks or math.isnan(point[1]):
-            runs.append([])
-        if not math.isnan(point[1]):
-            runs[-1].append(point)
-    return [run for run in runs if run]
 
 
 def _x(i: int, n: int) -> float:

@@ -43,9 +43,15 @@ def as_latex(comparison: Comparison) -> str:
     """
     shown = matrix_of(comparison).trimmed()
     evaluation = comparison if isinstance(comparison, Evaluation) else None
+    source = ""
+    if evaluation is not None:
+        files = f"{_listed(evaluation.predicted)} against {_listed(evaluation.reference)}"
+        mapping = escape(evaluation.mapping)
+        match = escape(match_line(evaluation.match))
+        source = f" {escape(files)}, class mapping {mapping}. {match}"
     blocks = [
         "% needs \\usepackage{booktabs} and \\usepackage[T1]{fontenc}",
-        _counts(shown, _source(evaluation)),
+        _counts(shown, source),
         _row_shares(shown),
         _scores(shown, evaluation),
     ]
@@ -83,7 +89,7 @@ def _row_shares(shown: ConfusionMatrix) -> str:
     header = ["", *(escape(name) for name in shown.predicted_names)]
     rows = []
     for name, shares in zip(shown.reference_names, shown.row_shares().tolist(), strict=True):
-        cells = [_share(value) for value in shares]
+        cells = ["--" if math.isnan(share) else f"{share:.3f}" for share in shares]
         if name in shown.predicted_names and name in shown.scored_names:
             place = shown.predicted_names.index(name)
             cells[place] = rf"\textbf{{{cells[place]}}}"
@@ -120,14 +126,6 @@ def _splits(evaluation: Evaluation, shown: ConfusionMatrix) -> Iterator[str]:
             ]
             caption = f"{score.capitalize()} by {escape(split)}."
             yield _table(caption, f"{score}-{number}", ["Part", "Records", *names], lines)
-
-
-def _source(evaluation: Evaluation | None) -> str:
-    if evaluation is None:
-        return ""
-    files = f"{_listed(evaluation.predicted)} against {_listed(evaluation.reference)}"
-    mapping = escape(evaluation.mapping)
-    return f" {escape(files)}, class mapping {mapping}. {escape(match_line(evaluation.match))}"
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -170,7 +168,3 @@ def _count(value: int) -> str:
     1\,234\,567
     """
     return f"{value:,}".replace(",", r"\,")
-
-
-def _share(value: float) -> str:
-    return "--" if math.isnan(value) else f"{value:.3f}"

@@ -6,7 +6,7 @@ A mapping is a TOML file; a few come with the package.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -99,12 +99,13 @@ class ClassMapping(Params):
     def _check_both(self) -> ClassMapping:
         sides: tuple[Side, Side] = ("predicted", "reference")
         for side in sides:
-            for code, name, second_name in _listed_twice(self._spans(side)):
-                problem = (
-                    f"every {side} code listed once, but {code} stands under {name!r} "
-                    f"and again under {second_name!r}"
-                )
-                raise ValueError(problem)
+            for (_, last, name), (first, _, second_name) in pairwise(sorted(self._spans(side))):
+                if first <= last:
+                    problem = (
+                        f"every {side} code listed once, but {first} stands under {name!r} "
+                        f"and again under {second_name!r}"
+                    )
+                    raise ValueError(problem)
         for name in (name for pair in self.coarser.items() for name in pair):
             if name not in self.names("predicted"):
                 problem = f"classes of [predicted] in coarser, found {name!r}"
@@ -322,11 +323,3 @@ def _span(code: int | str) -> tuple[int, int]:
         problem = f"codes from 0 to {MAX_CODE}, ranges from low to high, found {code!r}"
         raise ValueError(problem)
     return low, high
-
-
-def _listed_twice(spans: list[tuple[int, int, str]]) -> Iterator[tuple[int, str, str]]:
-    """Yield the first shared code and both names of overlapping spans."""
-    ordered = sorted(spans)
-    for (_, end, name), (low, _, next_name) in pairwise(ordered):
-        if low <= end:
-            yield low, name, next_name

@@ -362,12 +362,12 @@ def _evaluation_blocks(evaluation: Evaluation, shown: ConfusionMatrix) -> Iterat
         evaluation.match.method, _plain(evaluation.match.method)
     )
     yield from (_plain(note) for note in (*evaluation.match.notes, *doubts(evaluation)))
-    files = [f"{side} {', '.join(map(_plain, names))}" for side, names in _sides(evaluation)]
-    yield f"Files: {'; '.join(files)}. Class mapping: {_plain(evaluation.mapping)}."
-
-
-def _sides(evaluation: Evaluation) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    return ("predicted", evaluation.predicted), ("reference", evaluation.reference)
+    predicted = ", ".join(map(_plain, evaluation.predicted))
+    reference = ", ".join(map(_plain, evaluation.reference))
+    yield (
+        f"Files: predicted {predicted}; reference {reference}. "
+        f"Class mapping: {_plain(evaluation.mapping)}."
+    )
 
 
 def score_row(

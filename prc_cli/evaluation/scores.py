@@ -160,7 +160,12 @@ def all_scores(
         for score in CLASS_SCORES
     }
     values["accuracy"] = observed
-    values["balanced_accuracy"] = _mean_of_defined(class_scores["recall"])
+    # classes are summed in their order, so that no bit depends on the number of matrices
+    recall = class_scores["recall"]
+    is_defined = ~np.isnan(recall)
+    total_recall = sum(np.where(is_defined, recall, 0.0).T, np.zeros(len(recall)))
+    n_defined = is_defined.sum(axis=1).astype(np.float64)
+    values["balanced_accuracy"] = _shares(total_recall, n_defined)
     values["kappa"] = _shares(observed - by_chance, 1.0 - by_chance)
     return values
 
@@ -169,13 +174,6 @@ def _shares(part: F64, total: F64) -> F64:
     shares = np.full(part.shape, np.nan)
     np.divide(part, total, out=shares, where=(total != 0) & ~np.isnan(total))
     return shares
-
-
-def _mean_of_defined(values: F64) -> F64:
-    """(n, classes) to (n,); classes are summed in their order, so that no bit depends on n."""
-    defined = ~np.isnan(values)
-    sums = sum(np.where(defined, values, 0.0).T, np.zeros(len(values)))
-    return _shares(sums, defined.sum(axis=1).astype(np.float64))
 
 
 def gate_value(matrix_scores: Scores, name: str) -> float:
