@@ -384,22 +384,21 @@ def ask_all(seen: Seen) -> Iterator[Finding]:
 
     A check without enough data gives no finding.
     """
-    along = any(
+    is_along_path = any(
         assumption.key == "input.range" and assumption.value.startswith("trajectory")
         for assumption in seen.info.assumptions
     )
     for finding in _known(*_findings_of_ranges(seen)):
-        yield _along_path(finding) if along and finding.check in BY_PLACE else finding
+        if not is_along_path or finding.check not in BY_PLACE:
+            yield finding
+        elif finding.check == "units" and finding.option:
+            yield replace(finding, hint=f"{LATE}; {OTHER_UNIT}{finding.option}", option="")
+        else:
+            yield replace(finding, hint=LATE, option="")
     yield from _known(
         check_collisions(seen), check_unplaced(seen), check_left_out(seen), check_returns(seen)
     )
     yield from _known(check_unread(seen), check_other_readers(seen))
-
-
-def _along_path(finding: Finding) -> Finding:
-    if finding.check == "units" and finding.option:
-        return replace(finding, hint=f"{LATE}; {OTHER_UNIT}{finding.option}", option="")
-    return replace(finding, hint=LATE, option="")
 
 
 def _findings_of_ranges(seen: Seen) -> Iterator[Finding | None]:

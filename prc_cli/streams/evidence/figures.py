@@ -236,24 +236,19 @@ def without_lonely(windows: tuple[Window, ...]) -> tuple[Window, ...] | None:
     n_lonely = 0
     n_known = 0
     for window in windows:
+        logs = np.pad(np.log(window.range_m), 1, constant_values=np.nan)
+        n_lines, m = window.range_m.shape
+        has_like = np.zeros((n_lines, m), np.bool_)
+        for line, column in AROUND_SHOT:
+            neighbours = logs[1 + line : 1 + line + n_lines, 1 + column : 1 + column + m]
+            has_like |= np.abs(neighbours - logs[1:-1, 1:-1]) < LIKE
         is_known = np.isfinite(window.range_m)
-        is_lonely = is_known & ~_has_like(window.range_m)
+        is_lonely = is_known & ~has_like
         n_lonely += int(np.count_nonzero(is_lonely))
         n_known += int(np.count_nonzero(is_known))
         range_m = np.where(is_lonely, np.float32(np.nan), window.range_m)
         cleared.append(replace(window, range_m=range_m))
     return tuple(cleared) if n_lonely < MOST_ALONE * n_known else None
-
-
-def _has_like(range_m: F32) -> Mask:
-    """Mark shots like one of the eight around, (lines, M) bool."""
-    logs = np.pad(np.log(range_m), 1, constant_values=np.nan)
-    n_lines, m = range_m.shape
-    has_like = np.zeros(range_m.shape, np.bool_)
-    for line, column in AROUND_SHOT:
-        neighbours = logs[1 + line : 1 + line + n_lines, 1 + column : 1 + column + m]
-        has_like |= np.abs(neighbours - logs[1:-1, 1:-1]) < LIKE
-    return has_like
 
 
 def spread(windows: tuple[Window, ...]) -> list[F32]:

@@ -67,51 +67,54 @@ class _Kept:
     """Lines of one scanner, evenly over all that have passed."""
 
     def __init__(self, item: LabelledBlock) -> None:
-        self.columns = _columns_with_returns(item.block.range_m)
+        # evenly spread columns; if these miss most returns, only columns with returns
+        block = item.block
+        step = -(-block.range_m.shape[1] // MAX_COLUMNS)
+        self.columns = np.arange((step - 1) // 2, block.range_m.shape[1], step)
+        n_returns = np.count_nonzero(np.isfinite(block.range_m), axis=0)
+        if n_returns[self.columns].mean() < LEAST_SHARE * n_returns.mean():
+            with_returns = np.flatnonzero(n_returns)
+            step = -(-len(with_returns) // MAX_COLUMNS)
+            self.columns = with_returns[(step - 1) // 2 :: step]
         n_columns = len(self.columns)
-        self.beam_rad = (
-            None if item.block.beam_rad is None else item.block.beam_rad[self.columns].copy()
-        )
-        self.angle_rad = (
-            None if item.block.angle_rad is None else item.block.angle_rad[self.columns].copy()
-        )
+        self.beam_rad = None if block.beam_rad is None else block.beam_rad[self.columns].copy()
+        self.angle_rad = None if block.angle_rad is None else block.angle_rad[self.columns].copy()
         self.line = np.empty(MAX_LINES, np.int64)
         self.range_m = np.empty((MAX_LINES, n_columns), np.float32)
         self.labels = np.empty((MAX_LINES, n_columns), np.uint8)
         self.n = 0
         self.stride = 1
+        """Lines from one that is kept to the next."""
         self.is_up_assumed = False
 
     def add(self, item: LabelledBlock) -> None:
         self.is_up_assumed |= item.is_up_assumed
-        line = item.block.first_line
-        stop = item.block.first_line + item.block.n_lines
+        first = item.block.first_line
+        stop = first + item.block.n_lines
+        line = first
         while True:
             line = -(-line // self.stride) * self.stride
             if line >= stop:
                 return
             if self.n == MAX_LINES:
-                self._thin()
+                self._drop_every_other()
                 continue
             lines = np.arange(line, stop, self.stride)[: MAX_LINES - self.n]
-            rows = slice(
-                line - item.block.first_line,
-                int(lines[-1]) - item.block.first_line + 1,
-                self.stride,
-            )
-            rows_kept = slice(self.n, self.n + len(lines))
-            self.line[rows_kept] = lines
-            self.range_m[rows_kept] = item.block.range_m[rows][:, self.columns]
-            self.labels[rows_kept] = item.labels[rows][:, self.columns]
-            self.n = rows_kept.stop
-            line = int(lines[-1]) + 1
+            last = int(lines[-1])
+            rows = slice(line - first, last - first + 1, self.stride)
+            kept = slice(self.n, self.n + len(lines))
+            self.line[kept] = lines
+            self.range_m[kept] = item.block.range_m[rows][:, self.columns]
+            self.labels[kept] = item.labels[rows][:, self.columns]
+            self.n = kept.stop
+            line = last + 1
 
-    def _thin(self) -> None:
+    def _drop_every_other(self) -> None:
         self.stride *= 2
-        stays = np.flatnonzero(self.line[: self.n] % self.stride == 0)
-        for kept in (self.line, self.range_m, self.labels):
-            kept[: len(stays)] = kept[stays]
-        self.n = len(stays)
+        kept = np.flatnonzero(self.line[: self.n] % self.stride == 0)
+        self.n = len(kept)
+        for column in (self.line, self.range_m, self.labels):
+            column[: self.n] = column[kept]
 
     def sample(self) -> _Sample:
         return _Sample(
@@ -122,21 +125,6 @@ class _Kept:
             self.angle_rad,
             self.is_up_assumed,
         )
-
-
-def _columns_with_returns(range_m: F32) -> I64:
-    """Return evenly spread columns, (n,) int64.
-
-    If these miss most returns, only columns with returns are used.
-    """
-    step = -(-range_m.shape[1] // MAX_COLUMNS)
-    even = np.arange((step - 1) // 2, range_m.shape[1], step)
-    n_returns = np.count_nonzero(np.isfinite(range_m), axis=0)
-    if n_returns[even].mean() >= LEAST_SHARE * n_returns.mean():
-        return even
-    there = np.flatnonzero(n_returns)
-    step = -(-len(there) // MAX_COLUMNS)
-    return there[(step - 1) // 2 :: step]
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,6 +320,7 @@ def _ground_below(
 
 
 def _ground_lean(scene: _Scene, sample: _Sample, usual: UsualLabels) -> Iterator[Finding]:
+    # the slope of a straight line through the ground of every line
     ground = scene.ground[:, scene.is_down]
     n = np.count_nonzero(ground, axis=1)
     rows = n >= LEAST_LEVEL
@@ -341,30 +330,25 @@ def _ground_lean(scene: _Scene, sample: _Sample, usual: UsualLabels) -> Iterator
     up = np.where(ground, scene.up_m[rows][:, scene.is_down], 0)
     middle = aside.sum(axis=1) / n
     height = up.sum(axis=1) / n
-    spread = (aside * aside).sum(axis=1) / n - middle * middle
-    together = (aside * up).sum(axis=1) / n - middle * height
-    wide = spread > LEAST_SPREAD_M**2
-    if np.count_nonzero(wide) < LEAST_LINES:
+    variance = (aside * aside).sum(axis=1) / n - middle * middle
+    covariance = (aside * up).sum(axis=1) / n - middle * height
+    is_wide = variance > LEAST_SPREAD_M**2
+    if np.count_nonzero(is_wide) < LEAST_LINES:
         return
-    lean_rad = math.atan(float(np.median(together[wide] / spread[wide])))
+    lean_rad = math.atan(float(np.median(covariance[is_wide] / variance[is_wide])))
     lean_deg = math.degrees(lean_rad)
-    measured = f"the ground leans by {abs(lean_deg):.2f} deg across the lines"
-    verdict = verdict_of(doubtful=abs(lean_deg) > usual.lean_deg)
+    hint = _LOOK_FOR_DOWN
+    if sample.angle_rad is not None and sample.beam_rad is not None:
+        nearest = int(np.argmin(np.abs(sample.beam_rad - lean_rad)))
+        nadir_deg = math.degrees(sample.angle_rad[nearest])
+        hint = f"to make it level: --set input.nadir={nadir_deg:.1f}; check where down is: prc info"
     yield Finding(
         "ground-lean",
-        verdict,
-        measured,
+        verdict_of(doubtful=abs(lean_deg) > usual.lean_deg),
+        f"the ground leans by {abs(lean_deg):.2f} deg across the lines",
         f"at most {usual.lean_deg:g} deg",
-        _nadir(sample, lean_rad),
+        hint,
     )
-
-
-def _nadir(sample: _Sample, lean_rad: float) -> str:
-    if sample.angle_rad is None or sample.beam_rad is None:
-        return _LOOK_FOR_DOWN
-    nearest = int(np.argmin(np.abs(sample.beam_rad - lean_rad)))
-    level_deg = math.degrees(sample.angle_rad[nearest])
-    return f"to make it level: --set input.nadir={level_deg:.1f}; check where down is: prc info"
 
 
 def _below_ground(scene: _Scene, usual: UsualLabels) -> Iterator[Finding]:

@@ -235,17 +235,16 @@ def _near_clocks(sample: _Sample, trajectory: Positions) -> list[_Clock]:
             chosen.append(_Clock(float(clocks[place]), float(distance[place])))
         if len(chosen) == MOST_CLOCKS:
             break
-    return [_finer_clock(coarse, trajectory, clock) for clock in chosen]
-
-
-def _finer_clock(sample: _Sample, trajectory: Positions, clock: _Clock) -> _Clock:
-    for step in (COARSE_S / 8, COARSE_S / 64):
-        clocks = clock.clock_s + step * np.arange(-8, 9, dtype=np.float64)
-        distance = _distances(sample, trajectory, clocks)
-        place = int(np.argmin(distance))
-        if distance[place] < clock.distance_m - 1e-4:
-            clock = _Clock(float(clocks[place]), float(distance[place]))
-    return clock
+    finer: list[_Clock] = []
+    for clock in chosen:
+        for step in (COARSE_S / 8, COARSE_S / 64):
+            clocks = clock.clock_s + step * np.arange(-8, 9, dtype=np.float64)
+            distance = _distances(coarse, trajectory, clocks)
+            place = int(np.argmin(distance))
+            if distance[place] < clock.distance_m - 1e-4:
+                clock = _Clock(float(clocks[place]), float(distance[place]))
+        finer.append(clock)
+    return finer
 
 
 def _distances(sample: _Sample, trajectory: Positions, clocks: F64) -> F64:
@@ -349,24 +348,15 @@ def _solve(
         spread = float(np.median(np.linalg.norm(off, axis=1)))
         scale = max(3.0 * spread, LEAST_SCALE_M)
         if stiffness > 0.0:
-            sigma = _clock_sigma(off, weight, stiffness, time_s)
+            squares = float((weight[:, None] * off * off).sum())
+            variance = squares / max(2.0 * float(weight.sum()), 1e-9)
+            # neighbouring errors count as one
+            n_independent = max(float(np.ptp(time_s)) / INDEPENDENT_S, 1.0)
+            n_alike = max(len(time_s) / n_independent, 1.0)
+            sigma = math.sqrt(max(variance, 1e-10) * n_alike / stiffness)
         if abs(step) < 1e-7 and scale < FIRST_SCALE_M:
             break
     return _Solved(clock_s, sigma, lever, off)
-
-
-def _clock_sigma(
-    off_m: F64,
-    weight: F64,
-    stiffness: float,
-    time_s: F64,
-) -> float:
-    squares = float((weight[:, None] * off_m * off_m).sum())
-    variance = squares / max(2.0 * float(weight.sum()), 1e-9)
-    # neighbouring errors count as one
-    n_independent = max(float(np.ptp(time_s)) / INDEPENDENT_S, 1.0)
-    n_alike = max(len(time_s) / n_independent, 1.0)
-    return math.sqrt(max(variance, 1e-10) * n_alike / stiffness)
 
 
 def _why_far(sample: _Sample, trajectory: Positions, distance_m: float) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.findings import Finding
 from prc_cli.core.stream import Assumption
-from prc_cli.core.types import F64, I64
+from prc_cli.core.types import F64
 from prc_cli.streams.registered.along import Places, track_along, turning_along
 from prc_cli.streams.registered.evidence import (
     CellCounts,
@@ -425,13 +425,7 @@ def _append_cells_of_lines(
     cells.append(rows)
     counts.add_cells(cell.line, cell.column, cell.range_m)
     counts.add_times(records["time"])
-    counts.add_heights(_scanner_heights(records, cell.column, scan))
-
-
-def _scanner_heights(records: NDArray[np.void], column: I64, scan: Scan) -> F64:
-    """Return the height of the scanner above every point nearly below it [m]."""
-    angle = scan.angle_start_rad + column * scan.step_rad
-    from_down = np.abs(np.remainder(angle + math.pi, 2.0 * math.pi) - math.pi)
+    # the height of the scanner above every point nearly below it
+    from_down = np.abs(np.remainder(rows["angle"] + math.pi, 2.0 * math.pi) - math.pi)
     points_below = records[from_down < NEAR_DOWN_RAD]
-    height: F64 = scan.stations(points_below["time"])[:, 2] - points_below["z"]
-    return height
+    counts.add_heights(scan.stations(points_below["time"])[:, 2] - points_below["z"])

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
-from prc_cli.core.types import F64, Mask
+from prc_cli.core.types import F64
 from prc_cli.streams.evidence.periods import measure_rates, shot_period
-from prc_cli.streams.registered.path import Fit, Knots, observe, smooth
+from prc_cli.streams.registered.path import Knots, observe, smooth
 from prc_cli.streams.registered.rotation import Rotation, Turning
 from prc_cli.streams.registered.scan import Scan
 from prc_cli.streams.registered.start import (
@@ -187,7 +187,10 @@ def _smooth_all(
     n = len(knots.time_s)
     sigma = np.zeros((n, 3))
     slope = 0.0
-    figures: list[_Figures] = []
+    residuals: list[float] = []
+    on_beam: list[float] = []
+    in_front: list[float] = []
+    n_points: list[int] = []
     done = 0
     for first, last, time_s, xyz_m in segments(pieces, knots.time_s):
         span = slice(first, last + 1)
@@ -203,37 +206,24 @@ def _smooth_all(
         knots.position_m[kept] = fit.knots.position_m[local]
         knots.frame[kept] = fit.knots.frame[local]
         sigma[kept] = fit.sigma_m[local]
-        figures.append(_figures(fit, observed.weight > 0))
-    weight = np.array([figure.n_points for figure in figures], np.float64)
-
-    def mean(values: list[float]) -> float:
-        return float(np.average(values, weights=weight))
-
+        is_point = observed.weight > 0
+        off_m = np.hypot(fit.in_plane_m, fit.across_m)[is_point]
+        residual_m = float(np.median(off_m))
+        most_off_m = ON_BEAM * max(residual_m, fit.scale_m / ON_BEAM)
+        residuals.append(residual_m)
+        on_beam.append(float(np.mean(off_m < most_off_m)))
+        in_front.append(float(np.mean(fit.range_m[is_point] > 0)))
+        n_points.append(len(off_m))
+    weight = np.array(n_points, np.float64)
     return Track(
         knots,
         sigma,
         slope,
-        residual_m=mean([figure.residual_m for figure in figures]),
-        share_on_beam=mean([figure.share_on_beam for figure in figures]),
-        share_in_front=mean([figure.share_in_front for figure in figures]),
+        residual_m=float(np.average(residuals, weights=weight)),
+        share_on_beam=float(np.average(on_beam, weights=weight)),
+        share_in_front=float(np.average(in_front, weights=weight)),
         share_trusted=share_trusted,
     )
-
-
-class _Figures(NamedTuple):
-    """Residuals of a segment; fields as in :class:`Track`."""
-
-    residual_m: float
-    share_on_beam: float
-    share_in_front: float
-    n_points: int
-
-
-def _figures(fit: Fit, usable: Mask) -> _Figures:
-    off = np.hypot(fit.in_plane_m, fit.across_m)[usable]
-    residual = float(np.median(off))
-    on_beam = float(np.mean(off < ON_BEAM * max(residual, fit.scale_m / ON_BEAM)))
-    return _Figures(residual, on_beam, float(np.mean(fit.range_m[usable] > 0)), len(off))
 
 
 def segments(pieces: PassPieces, knots_s: F64) -> Iterator[tuple[int, int, F64, F64]]:

@@ -94,39 +94,30 @@ class Scan:
         range_m = np.sqrt(np.einsum("ni,ni->n", offset, offset))
         turns = self.phase(time_s)
         line = np.floor(turns).astype(np.int64)
-        if self.by_bearing:
-            measured = (
-                self.bearings(time_s, offset) - np.interp(time_s, self.knots.time_s, self.begin_rad)
-            ) / TURN
-            # the turn of the measured bearing is that of the time
-            turns = measured + np.rint(turns - measured)
-            line = np.floor(turns).astype(np.int64)
-            column = self._columns_by_bearing(turns, line)
-        else:
-            column = np.rint(self._shots_in_line(time_s, turns, line)).astype(np.int64)
-        return Cells(line, column, range_m)
-
-    def _columns_by_bearing(self, turns: F64, line: I64) -> I64:
+        if not self.by_bearing:
+            column = np.rint(self._shots_in_line(turns, line)).astype(np.int64)
+            return Cells(line, column, range_m)
+        begin_rad = np.interp(time_s, self.knots.time_s, self.begin_rad)
+        measured = (self.bearings(time_s, offset) - begin_rad) / TURN
+        # the turn of the measured bearing is that of the time
+        turns = measured + np.rint(turns - measured)
+        line = np.floor(turns).astype(np.int64)
+        shot = ((turns - line) * self.shots_per_turn).astype(np.int64)
+        column = np.minimum(shot, self.points_per_line - 1)
         # of two shots in one column, one moves to a free column beside it
         order = np.argsort(turns, kind="stable")
-        column = np.minimum(
-            ((turns - line) * self.shots_per_turn).astype(np.int64), self.points_per_line - 1
-        )
         column[order] = spread_columns(column[order], line[order])
-        return column
+        return Cells(line, column, range_m)
 
     def phase(self, time_s: F64) -> F64:
         """Return lines since the origin at times (n,), with their fraction."""
         turning = self.turning
         if turning.is_arc:
-            turns: F64 = (time_s - turning.origin_s) * turning.line_hz
-        else:
-            turns = (
-                turning.bearing(time_s) - np.interp(time_s, self.knots.time_s, self.begin_rad)
-            ) / TURN
-        return turns
+            return (time_s - turning.origin_s) * turning.line_hz
+        begin_rad = np.interp(time_s, self.knots.time_s, self.begin_rad)
+        return (turning.bearing(time_s) - begin_rad) / TURN
 
-    def _shots_in_line(self, time_s: F64, turns: F64, line: I64) -> F64:
+    def _shots_in_line(self, turns: F64, line: I64) -> F64:
         # shots are on a comb, wherever the line begins: near whole numbers after the shift
         turning = self.turning
         per_line = self.shots_per_turn * turning.hz / turning.line_hz
@@ -151,17 +142,17 @@ def down_bearings(knots: Knots) -> tuple[F64, float]:
 
 def slow_part(time_s: F64, angle_rad: F64) -> F64:
     """Return straight lines through the means of an angle over :data:`LEVEL_S`, (k,) [rad]."""
-    n_parts = max(round((time_s[-1] - time_s[0]) / LEVEL_S), 1)
+    duration_s = time_s[-1] - time_s[0]
+    n_parts = max(round(duration_s / LEVEL_S), 1)
     if n_parts < 3:
         return np.full(len(time_s), float(np.mean(angle_rad)))
-    part = np.minimum(
-        ((time_s - time_s[0]) / (time_s[-1] - time_s[0]) * n_parts).astype(np.int64), n_parts - 1
-    )
+    share = (time_s - time_s[0]) / duration_s
+    part = np.minimum((share * n_parts).astype(np.int64), n_parts - 1)
     count = np.bincount(part, minlength=n_parts)
     known = count > 0
-    middle = np.bincount(part, time_s, n_parts)[known] / count[known]
-    mean = np.bincount(part, angle_rad, n_parts)[known] / count[known]
-    slow: F64 = np.interp(time_s, middle, mean)
+    middle_s = np.bincount(part, time_s, n_parts)[known] / count[known]
+    mean_rad = np.bincount(part, angle_rad, n_parts)[known] / count[known]
+    slow: F64 = np.interp(time_s, middle_s, mean_rad)
     return slow
 
 

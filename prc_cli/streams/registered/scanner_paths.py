@@ -23,19 +23,19 @@ def scanner_paths(drive: Drive | SpinningDrive) -> tuple[ScannerPath, ...]:
     by_scanner: dict[int, list[ScannerPath]] = {}
     for path in passes:
         by_scanner.setdefault(path.scanner, []).append(path)
-    return tuple(_joined(paths) for paths in by_scanner.values())
-
-
-def _joined(paths: list[ScannerPath]) -> ScannerPath:
-    return replace(
-        paths[0],
-        time_s=np.concatenate([path.time_s for path in paths]),
-        xyz_m=np.concatenate([path.xyz_m for path in paths]),
-        sigma_m=np.concatenate([path.sigma_m for path in paths]),
-        frame=np.concatenate([path.frame for path in paths]),
-        axis=np.concatenate([path.axis for path in paths]),
-        number=np.concatenate([path.number for path in paths]),
-    )
+    joined = []
+    for paths in by_scanner.values():
+        path = replace(
+            paths[0],
+            time_s=np.concatenate([path.time_s for path in paths]),
+            xyz_m=np.concatenate([path.xyz_m for path in paths]),
+            sigma_m=np.concatenate([path.sigma_m for path in paths]),
+            frame=np.concatenate([path.frame for path in paths]),
+            axis=np.concatenate([path.axis for path in paths]),
+            number=np.concatenate([path.number for path in paths]),
+        )
+        joined.append(path)
+    return tuple(joined)
 
 
 def _path_of_pass(drive: Drive, number: int) -> ScannerPath:
