@@ -103,7 +103,14 @@ class SimulatedScan:
             raise ConfigError(where, f"found {lines}, expected at least 1 line in a block")
         for item in self.simulated():
             for first in range(0, item.labelled.block.n_lines, lines):
-                yield _cut(item.labelled, first, first + lines)
+                stop = min(first + lines, item.labelled.block.n_lines)
+                extra_line = item.labelled.block.extra.line
+                is_inside = (extra_line >= first) & (extra_line < stop)
+                yield LabelledBlock(
+                    block=cut(item.labelled.block, first, stop),
+                    labels=item.labelled.labels[first:stop],
+                    extra_labels=item.labelled.extra_labels[is_inside],
+                )
 
     def simulated(self) -> Iterator[SimulatedBlock]:
         """Simulate from the start, with reference labels and registered coordinates."""
@@ -128,13 +135,16 @@ class SimulatedScan:
         line = returns.extra_line
         column = returns.extra_column
         record = (first + line.astype(np.int64)) * scanner.points_per_line + column
+        # whole numbers from 0 to 65535, as scanners store them
+        counts = np.minimum(np.rint(INTENSITY_SCALE * np.sqrt(returns.intensity)), 65535.0)
+        counts[np.isnan(ranges)] = np.nan
         angle_rad = scanner.angle_rad()
         block = ScanBlock(
             first,
             ranges,
             time_s=shots.time_s,
             xyz_m=_relative(scanner, first, ranges) if self.with_xyz else None,
-            intensity=_counts(returns.intensity, ranges),
+            intensity=counts.astype(np.float32, copy=False),
             angle_rad=angle_rad,
             beam_rad=angle_rad if scanner.turns else None,
             extra=ExtraReturns(line, column, returns.extra_range_m, record),
@@ -258,13 +268,6 @@ def in_snow(
     return replace(returns, range_m=range_m, label=label, intensity=intensity)
 
 
-def _counts(power: F32, range_m: F32) -> F32:
-    # whole numbers from 0 to 65535, as scanners store them; NaN = no return
-    counts = np.minimum(np.rint(INTENSITY_SCALE * np.sqrt(power)), 65535.0)
-    counts[np.isnan(range_m)] = np.nan
-    return counts.astype(np.float32, copy=False)
-
-
 def _relative(scanner: Scanner, first_line: int, range_m: F32) -> F32:
     """Return (lines, M, 3) float32, x forward (azimuth 0), y left, z up of the scanner [m]."""
     columns = scanner.directions()
@@ -281,17 +284,6 @@ def _relative(scanner: Scanner, first_line: int, range_m: F32) -> F32:
         range_m * columns[:, 2],
     )
     return np.stack(parts, axis=-1).astype(np.float32)
-
-
-def _cut(item: LabelledBlock, start: int, stop: int) -> LabelledBlock:
-    stop = min(stop, item.block.n_lines)
-    extra_line = item.block.extra.line
-    inside = (extra_line >= start) & (extra_line < stop)
-    return LabelledBlock(
-        block=cut(item.block, start, stop),
-        labels=item.labels[start:stop],
-        extra_labels=item.extra_labels[inside],
-    )
 
 
 def ground_below(

@@ -14,7 +14,6 @@ import numpy as np
 from prc_cli.simulation.street.pile import Frame, Pile, Span
 from prc_cli.simulation.street.plan import (
     BUILDING_LINE_M,
-    Junction,
     Lot,
     Plan,
     Purpose,
@@ -70,8 +69,18 @@ def build_houses(
         rng = generator(seed, Purpose.HOUSES, plan.piece, side.side)
         for lot in side.lots:
             _on_lot(pile, ground, side, lot, rng)
-        if side.junction is not None:
-            _along_side_street(pile, ground, side.junction, side.side, rng)
+        if side.junction is None:
+            continue
+        # rows on both sides of the side street, behind the houses on its corners
+        for end, edge in ((1, side.junction.open[0]), (-1, side.junction.open[1])):
+            d = BUILDING_LINE_M + 19.5
+            while d < FAR_M - 8.0:
+                width = rng.uniform(8.0, 12.0)
+                frame = frame_at(ground, edge, side.side * (d + 0.5 * width))
+                yaw = frame.yaw + side.side * 0.5 * np.pi
+                turned = replace(frame, yaw=yaw, mirror=side.side * end)
+                build(pile, turned, style_of(rng, "terrace", width, 0.0), rng)
+                d += width
 
 
 def style_of(
@@ -140,24 +149,6 @@ def _on_lot(
         build(pile, frame, style_of(rng, lot.kind, width, lot.setback), rng)
 
 
-def _along_side_street(
-    pile: Pile,
-    ground: Ground,
-    junction: Junction,
-    side: int,
-    rng: np.random.Generator,
-) -> None:
-    """Rows of houses on both sides of a side street, behind those on its corners."""
-    for end, edge in ((1, junction.open[0]), (-1, junction.open[1])):
-        d = BUILDING_LINE_M + 19.5
-        while d < FAR_M - 8.0:
-            width = rng.uniform(8.0, 12.0)
-            frame = frame_at(ground, edge, side * (d + 0.5 * width))
-            turned = replace(frame, yaw=frame.yaw + side * 0.5 * np.pi, mirror=side * end)
-            build(pile, turned, style_of(rng, "terrace", width, 0.0), rng)
-            d += width
-
-
 def build(
     pile: Pile,
     frame: Frame,
@@ -187,7 +178,17 @@ def build(
         ledge = style.storey + 0.1
         pile.box(frame, along, (-0.1, 0.02), (ledge, ledge + 0.18), Material.WALL)
     if style.balconies:
-        _balconies(pile, frame, style, first=int(rng.integers(2)))
+        # before every other column of windows: a slab and a railing of bars
+        half = 0.5 * min(style.pitch, 2.6)
+        for middle in style.middles[int(rng.integers(2)) :: 2]:
+            along = (middle - half + 0.1, middle + half - 0.1)
+            for storey in range(1, min(style.storeys, 6)):
+                floor = storey * style.storey + 0.1
+                if floor >= 2.9:
+                    slab = (floor - 0.15, floor)
+                    railing = (floor, floor + 1.0)
+                    pile.box(frame, along, (-1.1, 0.02), slab, Material.BALCONY)
+                    pile.box(frame, along, (-1.1, -1.06), railing, Material.BALCONY, 25.0)
 
 
 def _front(
@@ -257,21 +258,3 @@ def _gable(
         pile.triangle(front, back, ridge, Material.WALL)
     gutter_v = (-out - 0.1, -out + 0.02)
     pile.box(frame, (-half, half), gutter_v, (eaves_w - 0.1, eaves_w), Material.ROOF)
-
-
-def _balconies(
-    pile: Pile,
-    frame: Frame,
-    style: Style,
-    first: int,
-) -> None:
-    """Add balconies before every other column of windows: a slab and a railing of bars."""
-    half = 0.5 * min(style.pitch, 2.6)
-    for middle in style.middles[first::2]:
-        along = (middle - half + 0.1, middle + half - 0.1)
-        for storey in range(1, min(style.storeys, 6)):
-            floor = storey * style.storey + 0.1
-            if floor < 2.9:
-                continue
-            pile.box(frame, along, (-1.1, 0.02), (floor - 0.15, floor), Material.BALCONY)
-            pile.box(frame, along, (-1.1, -1.06), (floor, floor + 1.0), Material.BALCONY, 25.0)

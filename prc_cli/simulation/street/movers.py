@@ -372,20 +372,11 @@ class Movers:
         if stream.cars:
             car(pile, begin, draw_model(rng))
         else:
-            z = begin.z - _step_down(self._ground, self._seed, s, stream.d)
+            # a person who crosses a side street steps down
+            z = begin.z
+            junction = junction_of(self._seed, int(np.floor(s / PIECE_M)))
+            is_beside = junction is not None and junction.on(1 if stream.d > 0 else -1)
+            if junction and is_beside and abs(s - junction.s) < junction.half + 0.5:
+                z -= self._ground.curb_m
             person(pile, Frame(x, y, z, begin.yaw), rng, rng.uniform(0.3, 0.7))
         return pile.bodies()
-
-
-def _step_down(
-    ground: Ground,
-    seed: int,
-    s: float,
-    d: float,
-) -> float:
-    """Return how much lower a person is who crosses a side street [m]."""
-    junction = junction_of(seed, int(np.floor(s / PIECE_M)))
-    if junction is None or not junction.on(1 if d > 0 else -1):
-        return 0.0
-    is_crossing = abs(s - junction.s) < junction.half + 0.5
-    return ground.curb_m if is_crossing else 0.0

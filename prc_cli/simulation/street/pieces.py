@@ -280,7 +280,15 @@ def _make_garden(kerb: Kerb, lot: Lot, rng: np.random.Generator) -> None:
         behind_house = kerb.frame(low + 2.5, BUILDING_LINE_M + lot.setback + 17.0)
         trees.tree(kerb.pile, behind_house, trees.STREET, rng)
     if lot.driveway is not None and rng.random() < 0.4:
-        _park_on_driveway(kerb, lot, 0.5 * sum(lot.driveway), rng)
+        model = movers.draw_model(rng)
+        side = kerb.side.side
+        s = 0.5 * sum(lot.driveway)
+        d = BUILDING_LINE_M + 0.8 + model.half + max(0.0, lot.setback - 2.0)
+        frame = frame_at(kerb.ground, s, side * d, tilted=True)
+        fall = float(kerb.ground.line.side_slope(np.array([s]), side)[0])
+        # the bonnet points into the garden: u away from the street, v along it
+        yaw = frame.yaw + side * 0.5 * np.pi
+        movers.car(kerb.pile, replace(frame, yaw=yaw, slope=fall, roll=-side * frame.slope), model)
 
 
 def _plant_in_garden(
@@ -306,17 +314,6 @@ def _plant_in_garden(
     elif rng.random() < 0.6 and depth > 2.4 and is_off_paths(1.0):
         radius = min(rng.uniform(0.4, 0.9), 0.4 * depth)
         trees.bush(kerb.pile, kerb.frame(s, BUILDING_LINE_M + 0.55 * depth), radius, rng)
-
-
-def _park_on_driveway(kerb: Kerb, lot: Lot, s: float, rng: np.random.Generator) -> None:
-    model = movers.draw_model(rng)
-    side = kerb.side.side
-    d = BUILDING_LINE_M + 0.8 + model.half + max(0.0, lot.setback - 2.0)
-    frame = frame_at(kerb.ground, s, side * d, tilted=True)
-    fall = float(kerb.ground.line.side_slope(np.array([s]), side)[0])
-    # the bonnet points into the garden: u away from the street, v along it
-    yaw = frame.yaw + side * 0.5 * np.pi
-    movers.car(kerb.pile, replace(frame, yaw=yaw, slope=fall, roll=-side * frame.slope), model)
 
 
 def _wanted_boundary(kerb: Kerb) -> Literal["any", "hedge", "fence"]:
