@@ -104,9 +104,8 @@ class Projection(NamedTuple):
     depth: F64
     """Distance along the view [m]."""
 
-    def is_inside(self, size: tuple[int, int]) -> Mask:
-        """Return which points are within a picture of this width and height, (n,) bool."""
-        width, height = size
+    def is_inside(self, width: int, height: int) -> Mask:
+        """Return which points are within a picture of this size [pixels], (n,) bool."""
         across = (self.right >= 0) & (self.right < width)
         along = (self.down >= 0) & (self.down < height)
         return across & along
@@ -137,7 +136,7 @@ def fullest_azimuth(
     def n_filled(azimuth_deg: float) -> int:
         view = Perspective.around(points, azimuth_deg, elevation_deg, coarse_width, coarse_height)
         projection = view.project(points)
-        inside = projection.is_inside(view.size)
+        inside = projection.is_inside(*view.size)
         columns = projection.right[inside].astype(np.int64)
         rows = projection.down[inside].astype(np.int64)
         return len(np.unique(rows * view.size[0] + columns))
@@ -306,7 +305,7 @@ class DepthBuffer:
         width, height = self._size
         projection = self._camera.project(xyz)
         with np.errstate(invalid="ignore"):
-            inside = projection.is_inside(self._size) & (projection.depth > 0)
+            inside = projection.is_inside(width, height) & (projection.depth > 0)
         self.n_inside += int(np.count_nonzero(inside))
         columns = projection.right[inside].astype(np.int64)
         rows = projection.down[inside].astype(np.int64)

@@ -210,7 +210,8 @@ def merge_join(
     match: Matcher,
     tolerance: float,
     tally: JoinTally,
-    names: tuple[str, str] = ("left", "right"),
+    left_name: str = "left",
+    right_name: str = "right",
     *,
     spare: int = 0,
 ) -> Iterator[Joined]:
@@ -225,7 +226,7 @@ def merge_join(
         Largest difference of the keys of a pair, in their unit.
     tally : JoinTally
         The counts are added to it.
-    names : tuple of str
+    left_name, right_name : str
         Names of the two streams, for messages.
     spare : int
         Right records beyond the tolerance that the matcher sees as well, at both ends.
@@ -238,8 +239,8 @@ def merge_join(
     # a record is decided by candidates within the tolerance, and a candidate by the records within
     # the tolerance of it
     reach = 2.0 * tolerance * (1 + 1e-9)
-    left_window = _Window(_in_steps(left, 0), names[0])
-    right_window = _Window(_in_steps(right, 1), names[1])
+    left_window = _Window(_in_steps(left, 0), left_name)
+    right_window = _Window(_in_steps(right, 1), right_name)
     low = -math.inf
     while True:
         open_windows = [side for side in (left_window, right_window) if side.is_open]

@@ -151,7 +151,7 @@ def join(
     tolerance: float = 0.0,
 ) -> Any:
     return merge_join(
-        points, labels, NearestLabel(tolerance), tolerance, tally, ("points", "labels"), spare=1
+        points, labels, NearestLabel(tolerance), tolerance, tally, "points", "labels", spare=1
     )
 
 

@@ -494,7 +494,7 @@ def _pairs(
         lefts = columns_of(left, (*names, *plan.predicted), sort=on_disk[0], with_record=False)
         rights = columns_of(right, (*names, *plan.reference), sort=on_disk[1], with_record=False)
         match = MutualKeys(tolerance)
-        joined = merge_join(lefts, rights, match, tolerance, tally, (left.path, right.path))
+        joined = merge_join(lefts, rights, match, tolerance, tally, left.path, right.path)
         pairs = ((*matched.pairs(), None) for matched in joined)
     for predicted, partners, third_codes in pairs:
         rows = mapping.class_indices(partners[CODE], "reference")

@@ -348,9 +348,15 @@ def _partners(
         target = columns_of(sides.points, names, sort=not points_survey.in_order)
         origin = columns_of(sides.labels, (*names, *carried), sort=not labels_survey.in_order)
         match = NearestLabel(sides.tolerance)
-        paths = (sides.points.path, sides.labels.path)
         yield from merge_join(
-            target, origin, match, sides.tolerance, tally, paths, spare=SPARE_LABELS
+            target,
+            origin,
+            match,
+            sides.tolerance,
+            tally,
+            sides.points.path,
+            sides.labels.path,
+            spare=SPARE_LABELS,
         )
         return
     points = _cloud(sides.points, (), stack)

@@ -206,14 +206,12 @@ class Ground:
         roll = -float(np.sign(d)) * _CROSS_FALL if is_on_road else 0.0
         return Frame(x, y, z, yaw, slope=0.5 * (z_after - z_before), roll=roll)
 
-    def lay(
-        self, pile: Pile, plan: Plan, kerbsides: tuple[Kerbside, Kerbside] = (PLAIN, PLAIN)
-    ) -> None:
-        """Add the ground of a piece; its sides have the kerbs and verges of ``kerbsides``."""
+    def lay(self, pile: Pile, plan: Plan, left: Kerbside = PLAIN, right: Kerbside = PLAIN) -> None:
+        """Add the ground of a piece with the kerbs and verges of its sides."""
         mesh = _Mesh(self, plan.start, pile)
         stations = mesh.s.tolist()
         has_verge = plan.character in ("suburb", "boulevard")
-        for side, kerbside in zip(plan.sides, kerbsides, strict=True):
+        for side, kerbside in zip(plan.sides, (left, right), strict=True):
             road = (0.0, side.side * ROAD_HALF_M)
             for along in itertools.pairwise(stations):
                 mesh.strip(along, road, 0.0, Material.ASPHALT)

@@ -75,7 +75,7 @@ class StreetScene:
         """Return the bodies of a piece and their bounds in plan."""
         pile = Pile((number + _FIRST / _NUMBERS) * _NUMBERS)
         plan = plan_of(self.seed, number, self.params.character, self.params.setback_m)
-        self.ground.lay(pile, plan, kerbsides(plan, self.params, self.seed))
+        self.ground.lay(pile, plan, *kerbsides(plan, self.params, self.seed))
         build_houses(pile, self.ground, plan, self.seed)
         build_kerbs(pile, self.ground, plan, self.params, self.seed)
         bodies = pile.bodies()
