@@ -149,12 +149,6 @@ def format_of(path: Path, role: Role = "scans") -> Format | None:
     return by_suffix(role).get(suffix_of(path))
 
 
-def has_layout(path: Path) -> bool:
-    """Whether a layout describes the records of a scan."""
-    form = format_of(path)
-    return form is not None and form.has_layout
-
-
 def is_dump(path: Path) -> bool:
     """Whether nothing but a layout describes the bytes of a scan."""
     form = format_of(path)

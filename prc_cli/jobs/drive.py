@@ -15,7 +15,7 @@ import numpy as np
 
 from prc_cli.config import LoadedConfig, with_layout_beside
 from prc_cli.core.errors import ConfigError
-from prc_cli.core.files import check_unchanged, file_state, make_folder, whole_set
+from prc_cli.core.files import make_folder, whole_set
 from prc_cli.core.findings import notices
 from prc_cli.core.process import return_memory
 from prc_cli.core.stream import LabelledBlock, ReadTally
@@ -41,7 +41,7 @@ from prc_cli.jobs.classify import (
     user_names,
     write_labels,
 )
-from prc_cli.jobs.run import Counts, Progress, RunSummary, run_record
+from prc_cli.jobs.run import Counts, Progress, Run, RunSummary
 from prc_cli.kernels import Engine, use_engine
 from prc_cli.streams.evidence.watch import watched
 from prc_cli.streams.registered.source import sorts_by_itself
@@ -162,7 +162,7 @@ class _StreamRun:
         loading: Callable[[], AbstractContextManager[None]],
     ) -> Iterator[RunSummary]:
         return_memory()  # before any thread
-        before = [file_state(part.path) for part in self.parts]
+        runs = [Run(part, loaded) for part in self.parts]
         scan = self.parts[0] if len(self.parts) == 1 else JoinedInput(self.parts)
         loaded, opened = open_decided(scan, loaded, engine, OutputNeeds(), loading=loading)
         needs = loaded.config.classifier.method().needs
@@ -192,11 +192,12 @@ class _StreamRun:
             _, findings, method_notices = write_labels(
                 stream, divided, loaded.config, threads, progress
             )
-            for part, state in zip(self.parts, before, strict=True):
-                check_unchanged(part.path, state)
-            for number, (part, writer) in enumerate(zip(self.parts, writers, strict=True)):
-                counts = divided.counts[number]
-                record = run_record(stream.info, counts, loaded, fingerprint(part.path))
+            for run in runs:
+                run.check_unchanged()
+            for number, (run, writer) in enumerate(zip(runs, writers, strict=True)):
+                run.loaded = loaded
+                run.counts = divided.counts[number]
+                record = run.record(stream.info, input_print=fingerprint(run.scan.path))
                 notes = (
                     *loaded.notes,
                     *joined.notes(number),
@@ -205,10 +206,9 @@ class _StreamRun:
                     *self.notes[-1 if number else 0 :],
                 )
                 n_records = firsts[number + 1] - firsts[number]
-                record = writer.finish(
-                    replace(record, n_records=n_records, notices=notes, engine=engine)
-                )
-                yield RunSummary(self.outputs[number], record, counts, findings)
+                record = replace(record, n_records=n_records, notices=notes, engine=engine)
+                record = run.finish(writer, record)
+                yield RunSummary(self.outputs[number], record, run.counts, findings)
 
 
 class DividedWriter:

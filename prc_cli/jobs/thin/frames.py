@@ -11,7 +11,8 @@ from typing import TypeVar
 
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError
 from prc_cli.core.files import output_errors, remove_stale, suffix_of, temporary_name
-from prc_cli.formats.registry import by_suffix, is_dump
+from prc_cli.formats.input import Input
+from prc_cli.formats.registry import by_suffix
 from prc_cli.formats.writing.record import record_path
 from prc_cli.matching.pairs import files_of, stem_of
 
@@ -95,7 +96,7 @@ def thin_frames(
             temporary.mkdir()
         for number, frame in enumerate(frames):
             thinned = temporary / (f"{number:06d}{suffix_of(frame)}" if every_frame else frame.name)
-            if is_dump(frame) and not frame.stat().st_size:
+            if not frame.stat().st_size and Input.of(frame).is_dump:
                 thinned.touch()
                 continue
             summaries.append(thin_one(frame, thinned))

@@ -19,7 +19,7 @@ import numpy as np
 from prc_cli.core.brief import Brief
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import file_state, prepare_outputs, suffix_of
+from prc_cli.core.files import check_unchanged, file_state, prepare_outputs, suffix_of
 from prc_cli.core.stream import Assumption
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.input import Input
@@ -304,10 +304,7 @@ def transfer(
         counts = counts_of(tally, n_changed, sides)
         refuse_poor_match(counts, tally, sides, options)
         for path, state in zip(inputs, before, strict=True):
-            if _state(path) != state:
-                raise InputError(
-                    str(path), "changed while it was read", "run again when the copy is complete"
-                )
+            check_unchanged(path, state)
         notices = list(sides.notices)
         if options.min_confidence is not None:
             notices.append(
