@@ -14,15 +14,16 @@ from typing import get_args
 
 from prc_cli.config import ChosenPreset, LoadedConfig, MethodChoice, RunConfig
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.stream import ScanBlock, ScanStream
+from prc_cli.core.stream import ScanBlock
 from prc_cli.core.threads import closing_items
 from prc_cli.formats.input import Input
 from prc_cli.kernels import Engine
 from prc_cli.methods.rings.pipeline import WIDEST_FAN_RAD, is_fan
-from prc_cli.streams.beams import ANGLES, BeamStream, with_beams
+from prc_cli.streams.beams import ANGLES, with_beams
 from prc_cli.streams.evidence.place import place_of_blocks
 from prc_cli.streams.open import open_input
 from prc_cli.streams.rules import trusting
+from prc_cli.streams.stream import Stream
 
 LEAST_COSINE = math.cos(math.radians(60.0))
 """Cosine of the largest lean of a scan plane.
@@ -110,8 +111,8 @@ def choice_by_beams(
     return MethodChoice("fused", why, doubt=doubt)
 
 
-def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStream]:
-    """Choose the method for an opened stream.
+def choose(stream: Stream, config: RunConfig) -> tuple[MethodChoice, Stream]:
+    """Choose the method for an opened stream, by its first blocks.
 
     Returns
     -------
@@ -119,18 +120,23 @@ def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStr
         The choice, and the stream with the beam directions that the method needs.
     """
     try:
-        return _choose(stream, config)
+        choice, chosen = _choose(stream, config)
     except (InputError, ConfigError) as refusal:
-        return _choice_after(refusal, stream.info.facts.scanners), stream
+        choice = _choice_after(refusal, stream.info.facts.scanners)
+        chosen = stream
+    if chosen.beams is None:
+        # it may be read with other rules
+        stream.first.forget()
+    return choice, chosen
 
 
-def _choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStream]:
+def _choose(stream: Stream, config: RunConfig) -> tuple[MethodChoice, Stream]:
     facts = stream.info.facts
-    with closing_items(stream.blocks()) as blocks:
+    with closing_items(stream.first_blocks()) as blocks:
         if next(blocks, None) is None:
             return MethodChoice("urban", "the input has no lines"), stream
     directed = with_beams(stream, config.input)
-    beams = directed.known.values() if isinstance(directed, BeamStream) else ()
+    beams = () if directed.beams is None else directed.beams.values()
     if any(scanner_beams.is_made_up for scanner_beams in beams):
         # a later line with two returns is refused
         for _ in directed.blocks():
@@ -143,7 +149,7 @@ def _choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanSt
         return MethodChoice("urban", lacks, lacks, "look at the unit of the ranges"), stream
     if facts.scanners or facts.has_scans or config.input.scanner != "none":
         _read_all_scanners(directed, facts.scanners)
-    with closing_items(directed.blocks()) as blocks:
+    with closing_items(directed.first_blocks()) as blocks:
         first_block = next(blocks)
     is_measured = any(
         assumption.key == ANGLES and assumption.value.startswith("measured")
@@ -152,17 +158,16 @@ def _choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanSt
     known = ("the angles of the beams are measured from the ranges",) if is_measured else ()
     # a scan from a tripod whose sky was cut off may have as few beams as a spinning scanner
     may_spin = not facts.has_scans
-    with closing_items(directed.blocks()) as blocks:
+    with closing_items(directed.first_blocks()) as blocks:
         return choice_by_beams(first_block, blocks, *known, may_spin=may_spin), directed
 
 
-def _read_all_scanners(directed: ScanStream, scanners: Sequence[str]) -> None:
+def _read_all_scanners(directed: Stream, scanners: Sequence[str]) -> None:
     """Read until the beams of every scanner are known: a later scanner may be refused."""
-    with closing_items(directed.blocks()) as blocks:
+    with closing_items(directed.first_blocks()) as blocks:
         for _ in blocks:
-            if not (scanners and isinstance(directed, BeamStream)):
-                continue
-            if len(directed.known | directed.late) >= len(scanners):
+            known = {*(directed.beams or ()), *directed.observed.beams}
+            if scanners and len(known) >= len(scanners):
                 return
 
 
@@ -181,15 +186,15 @@ def _choice_after(refusal: InputError | ConfigError, scanners: Sequence[str]) ->
 
 
 def decide_stream(
-    stream: ScanStream, loaded: LoadedConfig, *, engine: Engine = "compiled"
-) -> tuple[LoadedConfig, ScanStream]:
+    stream: Stream, loaded: LoadedConfig, *, engine: Engine = "compiled"
+) -> tuple[LoadedConfig, Stream]:
     """Name the method of a stream, and add the beam directions that the method needs."""
     if not loaded.config.is_decided:
         choice = choice_by_request(loaded.config, engine=engine)
         if choice is None:
             choice, stream = choose(stream, loaded.config)
         loaded = decided_by(choice, loaded)
-    if loaded.config.needs_beams and not isinstance(stream, BeamStream):
+    if loaded.config.needs_beams and stream.beams is None:
         stream = with_beams(stream, loaded.config.input)
     return loaded, stream
 
@@ -211,7 +216,7 @@ def decide_and_open(
     *,
     engine: Engine = "compiled",
     trust_order: bool = False,
-) -> tuple[LoadedConfig, ScanStream | None]:
+) -> tuple[LoadedConfig, Stream | None]:
     """Decide as :func:`decide`; also return the stream if it was opened and has beam directions."""
     config = loaded.config
     if config.is_decided:

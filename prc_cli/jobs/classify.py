@@ -55,8 +55,9 @@ from prc_cli.kernels import Engine, load_kernels, use_engine
 from prc_cli.methods.base import LABELS_ALONE, MethodParams, UsualLabels, Wanted
 from prc_cli.methods.run import run_blocks
 from prc_cli.streams.evidence.result import ResultWatch
-from prc_cli.streams.evidence.watch import EvidenceStream, watched
+from prc_cli.streams.evidence.watch import accepted_by, watched
 from prc_cli.streams.open import open_input
+from prc_cli.streams.stream import Blocks, Stream
 
 AHEAD = 1
 """Blocks waiting between reader and classifier, and between classifier and writer.
@@ -128,7 +129,7 @@ def open_for_method(
     scan: Input | JoinedInput,
     config: RunConfig,
     output_needs: OutputNeeds = ALL_VALUES,
-) -> ScanStream:
+) -> Stream:
     """Open an input for its method and for the output; default: blocks with all values."""
     # without a method the input is read as for PRC, which needs the least
     params = config.classifier if config.is_decided else config.prc
@@ -157,14 +158,14 @@ def open_decided(
     output_needs: OutputNeeds,
     *,
     loading: Callable[[], AbstractContextManager[None]],
-) -> tuple[LoadedConfig, ScanStream]:
+) -> tuple[LoadedConfig, Stream]:
     """Open an input for the named method, else for the method that prc chooses.
 
     ``loading`` is the context in which the loops of a chosen method are loaded.
     """
     config = loaded.config
     if not config.is_decided:
-        stream: ScanStream | None = None
+        stream: Stream | None = None
         choice = choice_by_request(config, engine=engine)
         if choice is None:
             # the choice needs the beams of the input: it is opened before the method is known
@@ -373,8 +374,9 @@ def user_names(config: RunConfig) -> dict[int, str]:
 class Judge:
     """Checks the labels of a watched stream while they pass."""
 
-    def __init__(self, stream: EvidenceStream, config: RunConfig) -> None:
+    def __init__(self, stream: Stream, config: RunConfig) -> None:
         self._stream = stream
+        self._accepted = accepted_by(config.input)
         self._params = config.classifier
         self._result = ResultWatch(usual_labels(config, stream.info), stream.info.facts)
 
@@ -399,15 +401,15 @@ class Judge:
             If a check refuses the input.
         """
         findings = (
-            *self._stream.findings(),
-            *accept(self._result.findings(), self._stream.accepted),
+            *self._stream.observed.findings,
+            *accept(self._result.findings(), self._accepted),
         )
         refuse(self._stream.info.path, findings)
         return findings
 
 
 def write_labels(
-    stream: EvidenceStream,
+    stream: Stream,
     writer: LabelSink,
     config: RunConfig,
     threads: int,
@@ -572,7 +574,7 @@ def classify_ranges(
             loaded, block = _find_beams_and_method(config, block, angle_deg, engine)
         config = loaded.config
         needs = config.classifier.method().needs
-        stream = watched(_InMemory(block), config.input, needs=needs, others=loaded.findings)
+        stream = watched(_in_memory(block), config.input, needs=needs, others=loaded.findings)
         judge = Judge(stream, config)
         is_checked = block.range_m.size >= LEAST_SHOTS
         # the stream is checked while it is read
@@ -602,21 +604,12 @@ def _concatenated(parts: Sequence[U8 | None]) -> U8 | None:
     return np.concatenate(arrays) if arrays else None
 
 
-@dataclass(frozen=True, slots=True)
-class _InMemory:
-    """A range image as a stream."""
-
-    block: ScanBlock
-
-    @property
-    def info(self) -> StreamInfo:
-        n_lines, points_per_line = self.block.range_m.shape
-        n_records = n_lines * points_per_line
-        angle = self.block.angle_rad
-        return StreamInfo("range_m", "array", points_per_line, n_records, n_lines, angle)
-
-    def blocks(self) -> Iterator[ScanBlock]:
-        yield self.block
+def _in_memory(block: ScanBlock) -> Stream:
+    """Return a range image as a stream."""
+    n_lines, points_per_line = block.range_m.shape
+    n_records = n_lines * points_per_line
+    info = StreamInfo("range_m", "array", points_per_line, n_records, n_lines, block.angle_rad)
+    return Stream.of(Blocks(info, [block]))
 
 
 def _choose_method(config: RunConfig, block: ScanBlock, engine: Engine) -> LoadedConfig:
@@ -683,7 +676,7 @@ def _find_beams_and_method(
             raise InputError("angle_deg", f"found an array of shape {angle.shape}, {expected}")
         block = replace(block, angle_rad=angle)
     loaded, stream = decide_stream(
-        _InMemory(replace(block, is_last=True)), LoadedConfig(config), engine=engine
+        _in_memory(replace(block, is_last=True)), LoadedConfig(config), engine=engine
     )
     return loaded, next(iter(stream.blocks()))
 

@@ -17,7 +17,7 @@ import numpy as np
 from prc_cli.config import LoadedConfig, RunConfig, resolve
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import atomic_outputs
-from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.stream import LabelledBlock, ScanBlock, StreamInfo
 from prc_cli.core.types import Mask
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.arrays.read import CLASS
@@ -39,9 +39,10 @@ from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.formats.writing.record import RunRecord, fingerprint, record_path
 from prc_cli.jobs.coordinates import XYZ, Carried, axes_of, carry, lines_apart
 from prc_cli.jobs.run import Counts, Progress, Run, RunSummary
-from prc_cli.streams.evidence.watch import EvidenceStream, watched
+from prc_cli.streams.evidence.watch import watched
 from prc_cli.streams.grid import GridStream
-from prc_cli.streams.open import grid_of, open_input
+from prc_cli.streams.open import open_input
+from prc_cli.streams.stream import Stream
 
 NOT_READ = "not read: "
 """Prefix of the assumptions in which readers name the values that they skip."""
@@ -129,9 +130,9 @@ def convert(
             return _copy(scan, output, loaded)
         return _copy_window(scan, output, loaded, progress)
     run = Run(scan, loaded, progress)
-    watches: list[EvidenceStream] = []
+    watches: list[Stream] = []
 
-    def watched_blocks(stream: ScanStream) -> Iterator[ScanBlock]:
+    def watched_blocks(stream: Stream) -> Iterator[ScanBlock]:
         # warnings do not stop a conversion: it is a way to repair a file
         watches.append(watched(stream, loaded.config.input, refuses=False))
         return watches[-1].blocks()
@@ -146,7 +147,7 @@ def convert(
         losses = find_losses(output, opened, run.counts, writer.losses)
         not_kept = (f"not kept: {loss}" for loss in losses)
         notes = (*opened.notices, *not_kept, *how_to_read(output, opened, run.counts))
-        findings = watches[-1].findings()
+        findings = tuple(watches[-1].observed.findings)
         info = opened.stream.info  # now the lines of a window are known
         record = run.record(info, findings, notes)
         record = run.finish(writer, record_of_scanners(record, run.counts))
@@ -222,7 +223,7 @@ def _copy_window(
 
         notes = copy_las(las, output, temporary, masks)
         run.check_unchanged()
-        findings = stream.findings()
+        findings = tuple(stream.observed.findings)
         copied = "the records of the window were copied as bytes"
         record_of_run = run.record(stream.info, findings, (copied, *notes))
         beside.write_bytes(record_of_run.to_json())
@@ -237,7 +238,7 @@ class OpenedItems:
     shape: StreamShape
     items: Iterator[StreamItem]
     source: Source | None
-    stream: ScanStream
+    stream: Stream
     carried: Carried | None = None
     notices: tuple[str, ...] = ()
     """Notes about the coordinates."""
@@ -245,7 +246,7 @@ class OpenedItems:
     @property
     def grid(self) -> GridStream | None:
         """The stream if rules found its lines; None for range images, organised scans and rings."""
-        return grid_of(self.stream)
+        return self.stream.grid
 
 
 @contextlib.contextmanager
@@ -254,7 +255,7 @@ def open_items(
     output: Path,
     loaded: LoadedConfig,
     *,
-    blocks_of: Callable[[ScanStream], Iterator[ScanBlock] | Iterator[LabelledBlock]] | None = None,
+    blocks_of: Callable[[Stream], Iterator[ScanBlock] | Iterator[LabelledBlock]] | None = None,
     codes: bool = True,
     xyz: bool = True,
     points: bool = False,
@@ -273,7 +274,7 @@ def open_items(
     has = () if records is None else records.dimensions
     class_name = next((name for name in has if codes and name.lower() in NAMES), None)
     axes = axes_of(records, stream, first, loaded.config) if xyz else ()
-    grid = grid_of(stream)
+    grid = stream.grid
     # blocks of frames lack the coordinates of points that share a cell
     rings = grid is None and records is not None and first.xyz_m is not None
     shares = rings and points and not axes

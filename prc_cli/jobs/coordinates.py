@@ -37,8 +37,9 @@ from prc_cli.formats.writing.columns import (
 from prc_cli.formats.writing.disk import DiskColumn
 from prc_cli.formats.writing.record import reading_beside
 from prc_cli.methods.rings.pipeline import is_fan
-from prc_cli.streams.beams import BeamStream, with_beams
-from prc_cli.streams.open import grid_of, open_input
+from prc_cli.streams.beams import with_beams
+from prc_cli.streams.open import open_input
+from prc_cli.streams.stream import Stream
 from prc_cli.streams.trajectory import Trajectory, load_trajectory
 
 _NAMES = ("x", "y", "z", "time", "range", "scan_line")
@@ -223,15 +224,14 @@ def placed_source(
 
 def axes_of(
     records: Source | None,
-    stream: ScanStream,
+    stream: Stream,
     first: ScanBlock,
     config: RunConfig,
 ) -> tuple[str, ...]:
     """Return the names of registered coordinates: records have them, blocks do not."""
     if records is None or not set(XYZ) <= set(records.dimensions):
         return ()
-    grid = grid_of(stream)
-    rule = config.input.range if grid is None else grid.rules.range
+    rule = config.input.range if stream.grid is None else stream.grid.rules.range
     return XYZ if first.xyz_m is None or rule.partition(":")[0] in ("trajectory", "origin") else ()
 
 
@@ -240,14 +240,14 @@ def placement(
     scan: Input,
     output: Path,
     loaded: LoadedConfig,
-    stream: ScanStream,
+    stream: Stream,
 ) -> Iterator[Placement | None]:
     """Give the coordinates of returns for a new cloud, from records or from assumed distances.
 
     None = the coordinates are relative to the scanner.
     """
-    plain = stream.source if isinstance(stream, BeamStream) else stream
-    with closing_items(plain.blocks()) as blocks:
+    plain = stream.plain or stream
+    with closing_items(plain.first_blocks()) as blocks:
         first = next(blocks, None)
     records = scan.records()
     axes = () if first is None else axes_of(records, plain, first, loaded.config)
@@ -266,21 +266,20 @@ def placement(
         yield carried.place
 
 
-def lines_apart(stream: ScanStream, config: RunConfig) -> LinesApart:
+def lines_apart(stream: Stream, config: RunConfig) -> LinesApart:
     """Return the placement of the scan planes of a stream without coordinates."""
     beams: dict[int, F64] = {}
     # without beam directions the scan planes are drawn flat
     with contextlib.suppress(InputError, ConfigError):
-        directed = stream if isinstance(stream, BeamStream) else with_beams(stream, config.input)
-        if isinstance(directed, BeamStream):
-            beams = {
-                scanner: scanner_beams.beam_rad
-                for scanner, scanner_beams in directed.known.items()
-                if not scanner_beams.is_made_up
-            }
+        directed = stream if stream.beams is not None else with_beams(stream, config.input)
+        beams = {
+            scanner: directions.beam_rad
+            for scanner, directions in (directed.beams or {}).items()
+            if not directions.is_made_up
+        }
     times: list[NDArray[Any]] = []
     if stream.info.line_hz is None:
-        with closing_items(stream.blocks()) as blocks:
+        with closing_items(stream.first_blocks()) as blocks:
             for block in blocks:
                 if block.time_s is None:
                     break

@@ -23,7 +23,7 @@ from prc_cli.core.findings import (
     accept,
     refuse,
 )
-from prc_cli.core.stream import Assumption, ReadTally, ScanStream
+from prc_cli.core.stream import Assumption, ReadTally
 from prc_cli.core.types import F32
 from prc_cli.formats.clock import with_clock
 from prc_cli.formats.input import Input
@@ -51,10 +51,10 @@ from prc_cli.streams.evidence.periods import (
     measure_rates,
     range_correlation,
 )
-from prc_cli.streams.evidence.watch import EvidenceStream, watched
-from prc_cli.streams.grid import GridStream, open_grid
+from prc_cli.streams.evidence.watch import watched
+from prc_cli.streams.grid import open_grid
 from prc_cli.streams.head import first_ranges, shots_in_time
-from prc_cli.streams.open import drive_of, open_input
+from prc_cli.streams.open import open_input
 from prc_cli.streams.order import (
     OrderEvidence,
     OrderWatch,
@@ -74,6 +74,7 @@ from prc_cli.streams.rules import (
     only_times_tell,
     trusting,
 )
+from prc_cli.streams.stream import Stream
 
 RATE_OFF = 1e-3
 """If rates differ by more, a note says so: a line would be off by some columns."""
@@ -238,7 +239,7 @@ def _decode(scan: Input) -> None:
             pass
 
 
-def _inspect(scan: Input, loaded: LoadedConfig, opened: ScanStream | None = None) -> Inspection:
+def _inspect(scan: Input, loaded: LoadedConfig, opened: Stream | None = None) -> Inspection:
     source = scan.records()
     source = None if source is None else with_clock(source, loaded.config.input.time_unit)
     stream, refusal = _try_open(scan, loaded) if opened is None else (opened, None)
@@ -261,7 +262,7 @@ def _inspect(scan: Input, loaded: LoadedConfig, opened: ScanStream | None = None
     inspection = _inspect_records(scan, loaded, source, stream, refusal, order)
     drive = None
     if stream is not None and loaded.config.input.range == "points":
-        drive = drive_of(stream)
+        drive = stream.drive
     return replace(inspection, contents=contents, drive=drive)
 
 
@@ -269,7 +270,7 @@ def _inspect_records(
     scan: Input,
     loaded: LoadedConfig,
     source: Source,
-    stream: ScanStream | None,
+    stream: Stream | None,
     refusal: InputError | ConfigError | None,
     order: OrderEvidence | None,
 ) -> Inspection:
@@ -426,7 +427,7 @@ def _refusal_of(scan: Input, loaded: LoadedConfig) -> InputError | None:
 
 def _try_open(
     scan: Input, loaded: LoadedConfig
-) -> tuple[ScanStream | None, InputError | ConfigError | None]:
+) -> tuple[Stream | None, InputError | ConfigError | None]:
     """Open a stream as ``prc classify``, but count breaks of the order; without refused beams."""
     try:
         inputs = trusting(scan.records(), loaded.config.input)
@@ -450,7 +451,7 @@ def _try_open(
 def _describe(
     scan: Input,
     source: Source | None,
-    stream: ScanStream | None,
+    stream: Stream | None,
     order: OrderEvidence | None,
     refusal: InputError | ConfigError | None,
     *,
@@ -467,7 +468,7 @@ def _describe(
             # records out of order cause incomplete lines: report the order, not the line
             if order is None or order.is_chronological:
                 raise
-    findings = stream.findings() if isinstance(stream, EvidenceStream) and with_ranges else ()
+    findings = () if stream is None or not with_ranges else tuple(stream.observed.findings)
     problem, hint = _verdict(scan, order, findings, refusal, judged=judged)
     info = None if stream is None else stream.info
     source_facts = SourceFacts()
@@ -521,7 +522,7 @@ def _verdict(
     return "", ""
 
 
-def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32 | None]:
+def _measure(stream: Stream, *, with_ranges: bool) -> tuple[StreamFacts, F32 | None]:
     """Read a stream to its end; return the counts and the ranges at its start."""
     n_lines = n_shots = n_missing = kept = 0
     low = math.inf
@@ -567,15 +568,12 @@ def _time_order(source: Source, contents: Contents) -> OrderEvidence | None:
     return None if watch is None else watch.evidence()
 
 
-def _fires_in_turns(stream: ScanStream) -> bool:
+def _fires_in_turns(stream: Stream) -> bool:
     """Return whether the rings of records fire in another order than they lie."""
-    layer: object = stream
-    while layer is not None and not isinstance(layer, GridStream):
-        layer = getattr(layer, "source", None)
-    return layer is not None and bool(layer.in_turns)
+    return stream.grid is not None and bool(stream.grid.find_turns())
 
 
-def _line_order(stream: ScanStream) -> OrderEvidence | None:
+def _line_order(stream: Stream) -> OrderEvidence | None:
     """Return the order of the times of the scanner with most breaks; None without times."""
     watches: dict[int, OrderWatch] = {}
     for block in stream.blocks():
@@ -608,14 +606,15 @@ def _with_unit_ranges(source: Source) -> Source:
     return filtered(source, chunks, dimensions=dimensions, facts_of=facts_of)
 
 
-def _lines_only(source: Source, inputs: InputConfig) -> ScanStream | None:
+def _lines_only(source: Source, inputs: InputConfig) -> Stream | None:
     """Find the lines of an input without ranges; None if they cannot be found."""
     inputs = trusting(source, inputs)
     if inputs.order == "require":
         return None
     try:
-        return open_grid(
+        lines = open_grid(
             _with_unit_ranges(source), inputs.model_copy(update={"range": "dimension:range"})
         )
+        return Stream.of(lines)
     except (InputError, ConfigError):
         return None

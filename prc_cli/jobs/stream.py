@@ -23,8 +23,12 @@ from prc_cli.jobs.classify import load_classifier
 from prc_cli.jobs.run import Counts
 from prc_cli.methods.run import run_blocks
 from prc_cli.streams.evidence.result import ResultWatch
-from prc_cli.streams.evidence.watch import LiveEvidence, watched
-from prc_cli.streams.grid import GridStream
+from prc_cli.streams.evidence.watch import (
+    LiveFindings,
+    accepted_by,
+    evidence_of,
+    watched_live,
+)
 from prc_cli.streams.pipe import ByteStream, open_pipe
 
 
@@ -135,7 +139,7 @@ def stream(
     pipe, opened = open_pipe(
         source, config.input.model_copy(update={"partial_line": "pad"}), config.layout
     )
-    is_dense = isinstance(opened, GridStream) and opened.rules.is_dense
+    is_dense = opened.grid is not None and opened.grid.rules.is_dense
     named = config.is_decided
     loaded, opened = decide_stream(opened, loaded)
     config = loaded.config
@@ -144,10 +148,11 @@ def stream(
         load_classifier(loaded)
     classifier = config.classifier.method()
     pipe.seal()
-    watch = LiveEvidence(
-        watched(opened, config.input, needs=classifier.needs, others=loaded.findings), doubted
-    )
-    blocks = _UntilError(watch)
+    # the blocks are read from the kept bytes, as the end of the pipe is checked from now on
+    opened.first.forget()
+    findings = LiveFindings(opened.info.path, accepted_by(config.input), doubted)
+    begin = evidence_of(opened, config.input, needs=classifier.needs, others=loaded.findings)
+    blocks = _UntilError(watched_live(opened, begin, findings))
     lookup = config.classes.lookup()
     counts = Counts.none()
     latency = 0.0
@@ -167,14 +172,14 @@ def stream(
         result.see(item)
         if counts.n_lines >= next_check:
             next_check = 2 * counts.n_lines
-            watch.hear(result.findings())
+            findings.hear(result.findings())
         if report is not None:
             report(_rate(counts, start, opened.info, latency))
     if blocks.error is not None:
         raise blocks.error
-    watch.hear(result.findings())
+    findings.hear(result.findings())
     rate = _rate(counts, start, opened.info, latency)
-    return StreamSummary(rate, counts, opened.info, watch.findings(), loaded.choice)
+    return StreamSummary(rate, counts, opened.info, tuple(findings), loaded.choice)
 
 
 def _rate(

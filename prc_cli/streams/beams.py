@@ -11,17 +11,18 @@ has two returns: then placeholder directions do, because nothing can be classifi
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.brief import Brief
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.frame import SensorFrame
 from prc_cli.core.hints import fitting_error
 from prc_cli.core.stream import MAX_RINGS, Assumption, ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.threads import closing_items
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.sensor_frame import are_rings, find_frame, is_spinning
@@ -42,6 +43,7 @@ from prc_cli.streams.down import (
     wrap,
 )
 from prc_cli.streams.ranges import MAX_LENGTH_OFF, MAX_LENGTH_OFF_M, XYZ
+from prc_cli.streams.stream import Stream
 
 SAMPLE_LINES = 64
 """Number of lines with returns used to find directions."""
@@ -480,75 +482,58 @@ class BeamFinder:
         )
 
 
-def with_beams(stream: ScanStream, config: InputConfig) -> ScanStream:
+def with_beams(stream: ScanStream, config: InputConfig) -> Stream:
     """Add the direction of the beam of every column, given or found in the first lines."""
+    plain = Stream.of(stream)
     split_by = None if config.scanner == "none" else config.scanner
-    finder = BeamFinder(stream.info, config.nadir, split_by, config.angles == "measured")
+    finder = BeamFinder(plain.info, config.nadir, split_by, config.angles == "measured")
+    known = _first_directions(plain, finder)
+    observed = replace(plain.observed, beams={})
+    directed = partial(_directed, finder=finder, known=known, late=observed.beams)
+    return replace(plain.through(directed), plain=plain, beams=known, observed=observed)
+
+
+def _first_directions(stream: Stream, finder: BeamFinder) -> dict[int, Directions]:
+    """Return the directions of every scanner in the first lines, until all of these are known."""
     known: dict[int, Directions] = {}
     waiting: dict[int, Sample] = {}
-    for block in stream.blocks():
-        if block.scanner not in known:
-            sample = waiting.setdefault(block.scanner, finder.sample(block))
-            sample.add(block)
-            if sample.is_complete or block.is_last:
-                known[block.scanner] = finder.find(waiting.pop(block.scanner))
-        if not waiting:
-            break
-    else:
-        known |= {scanner: finder.find(sample) for scanner, sample in waiting.items()}
-    return BeamStream(stream, finder, known)
+    with closing_items(stream.first_blocks()) as blocks:
+        for block in blocks:
+            if block.scanner not in known:
+                sample = waiting.setdefault(block.scanner, finder.sample(block))
+                sample.add(block)
+                if sample.is_complete or block.is_last:
+                    known[block.scanner] = finder.find(waiting.pop(block.scanner))
+            if not waiting:
+                return known
+    return known | {scanner: finder.find(sample) for scanner, sample in waiting.items()}
 
 
-@dataclass(frozen=True, slots=True, repr=False)
-class BeamStream(Brief):
-    """A stream whose blocks have beam directions; see :func:`with_beams`."""
-
-    source: ScanStream
-    finder: BeamFinder
-    known: dict[int, Directions]
-    """By scanner, for scanners in the first lines."""
-    late: dict[int, Directions] = field(default_factory=dict)
-    """The same for scanners met while reading."""
-
-    @property
-    def info(self) -> StreamInfo:
-        """Metadata of the stream, with the directions found so far."""
-        info = self.source.info
-        every = [*self.known.values(), *self.late.values()]
-        assumptions = dict.fromkeys(
-            directions.assumption for directions in every if directions.assumption is not None
-        )
-        notes = dict.fromkeys(directions.note for directions in every if directions.note)
-        facts = replace(info.facts, notes=(*info.facts.notes, *notes))
-        off = max((directions.angles_off for directions in every), default=0.0)
-        return replace(
-            info, assumptions=(*info.assumptions, *assumptions), facts=facts, angles_off=off
-        )
-
-    def blocks(self) -> Iterator[ScanBlock]:
-        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
-        known = dict(self.known)
-        waiting: dict[int, Sample] = {}
-        for block in self.source.blocks():
-            scanner = block.scanner
-            if scanner in known:
-                yield self.finder.put(known[scanner], block)
-                continue
-            sample = waiting.setdefault(scanner, self.finder.sample(block))
-            sample.add(block)
-            sample.held.append(block)
-            if sample.is_complete or block.is_last:
-                known[scanner] = self._find(waiting.pop(scanner))
-                for held in sample.held:
-                    yield self.finder.put(known[scanner], held)
-        for sample in waiting.values():
-            directions = self._find(sample)
+def _directed(
+    blocks: Iterator[ScanBlock],
+    finder: BeamFinder,
+    known: Mapping[int, Directions],
+    late: dict[int, Directions],
+) -> Iterator[ScanBlock]:
+    """Put directions into blocks; those of a scanner that is not ``known`` are found ``late``."""
+    by_scanner = dict(known)
+    waiting: dict[int, Sample] = {}
+    for block in blocks:
+        scanner = block.scanner
+        if scanner in by_scanner:
+            yield finder.put(by_scanner[scanner], block)
+            continue
+        sample = waiting.setdefault(scanner, finder.sample(block))
+        sample.add(block)
+        sample.held.append(block)
+        if sample.is_complete or block.is_last:
+            by_scanner[scanner] = late[scanner] = finder.find(waiting.pop(scanner))
             for held in sample.held:
-                yield self.finder.put(directions, held)
-
-    def _find(self, sample: Sample) -> Directions:
-        directions = self.late[sample.scanner] = self.finder.find(sample)
-        return directions
+                yield finder.put(by_scanner[scanner], held)
+    for scanner, sample in waiting.items():
+        late[scanner] = finder.find(sample)
+        for held in sample.held:
+            yield finder.put(late[scanner], held)
 
 
 def _in_frame(sample: Sample, xyz: F32) -> tuple[SensorFrame | None, F32]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -52,7 +51,7 @@ from prc_cli.streams.order import (
 )
 from prc_cli.streams.ranges import clean_measured
 from prc_cli.streams.rules import GridRules, resolve_rules
-from prc_cli.streams.setup import ScannerSetup, WindowEnd, set_up, setup_notes
+from prc_cli.streams.setup import ScannerSetup, Setup, WindowEnd, set_up, setup_notes
 
 MAX_BLOCK_CELLS = 1 << 21
 """Most cells of a block (at least a line): long gaps are cut into several blocks."""
@@ -76,77 +75,91 @@ def open_grid(
     rules = resolve_rules(
         head, config, geometry=geometry, only_ranges=only_ranges, with_intensity=with_intensity
     )
-    if config.order == "trust" and (rules.line_hz is not None or rules.shot_hz is not None):
+    by_time = rules.line_hz is not None or rules.shot_hz is not None
+    if config.order == "trust" and by_time:
         records = over_weeks(records)
         head = Head(records, head.expected)
-    n_records = source.n_records
-    m = rules.points_per_line
-    counts_records = rules.lines == "fixed" and not rules.has_returns and not rules.pads_last_line
-    if counts_records and m is not None and n_records is not None and config.window is None:
-        check_partial_line(source.path, n_records, m, source=records)
+    _check_last_line(records, rules)
     recorded_hz = source.facts.line_hz if line_hz is None else line_hz
     line_hz = recorded_hz if rules.line_hz is None else rules.line_hz
-    end = (
-        WindowEnd(config.window, line_hz)
-        if config.window is not None and rules.scanner is None
-        else None
-    )
-    setups, default, n_lines, setup_assumptions = set_up(head, rules, end)
-    m = max((setup.points_per_line for setup in setups.values()), default=m or 0)
-    if n_lines is None and rules.is_dense and n_records is not None:
-        n_lines = -(-n_records // m)
-    alone = next(iter(setups.values())) if len(setups) == 1 else None
-    down_rad = None if alone is None else alone.down_rad
-    if (nadir := source.facts.rule("nadir")) is not None and alone is not None and down_rad is None:
-        down_rad = math.radians(float(nadir.value))
-    info = StreamInfo(
-        path=source.path,
-        format=source.format,
-        points_per_line=m,
-        n_records=n_records,
-        n_lines=n_lines,
-        angle_rad=None if alone is None else alone.angle_rad,
-        line_hz=line_hz,
-        line_rule=rules.lines,
-        down_rad=down_rad,
-        cos_tilt=1.0 if alone is None else alone.cos_tilt,
-        downs={
-            scanner: (setup.down_rad, setup.cos_tilt)
-            for scanner, setup in setups.items()
-            if setup.down_rad is not None
-        },
-        assumptions=(*assumptions, *rules.assumptions, *setup_assumptions),
-        facts=replace(source.facts, notes=(*source.facts.notes, *setup_notes(setup_assumptions))),
-        dimensions=records.dimensions,
-    )
+    end = None
+    if config.window is not None and rules.scanner is None:
+        end = WindowEnd(config.window, line_hz)
+    setup = set_up(head, rules, end)
+    info = _info_of(records, rules, setup, line_hz)
+    info = replace(info, assumptions=(*assumptions, *info.assumptions))
     if "intensity" not in (*rules.names, *rules.carried):
         head = head.with_reading(Reading(spares_intensity=True))
-    return GridStream(info, head, rules, setups, default)
+    return GridStream(info, head, rules, setup)
 
 
-@dataclass(frozen=True, repr=False)
+def _check_last_line(records: Source, rules: GridRules) -> None:
+    """Refuse a last line that is cut short where the number of records alone shows it."""
+    m = rules.points_per_line
+    n_records = records.n_records
+    counts_records = rules.lines == "fixed" and not rules.has_returns and not rules.pads_last_line
+    if counts_records and m is not None and n_records is not None and rules.config.window is None:
+        check_partial_line(rules.path, n_records, m, source=records)
+
+
+def _info_of(records: Source, rules: GridRules, setup: Setup, line_hz: float | None) -> StreamInfo:
+    facts = records.facts
+    n_lines = setup.n_lines
+    m = max(
+        (scanner.points_per_line for scanner in setup.scanners.values()),
+        default=rules.points_per_line or 0,
+    )
+    if n_lines is None and rules.is_dense and records.n_records is not None:
+        n_lines = -(-records.n_records // m)
+    info = StreamInfo(
+        path=records.path,
+        format=records.format,
+        points_per_line=m,
+        n_records=records.n_records,
+        n_lines=n_lines,
+        line_hz=line_hz,
+        line_rule=rules.lines,
+        downs={
+            scanner: (scanner_setup.down_rad, scanner_setup.cos_tilt)
+            for scanner, scanner_setup in setup.scanners.items()
+            if scanner_setup.down_rad is not None
+        },
+        assumptions=(*rules.assumptions, *setup.assumptions),
+        facts=replace(facts, notes=(*facts.notes, *setup_notes(setup.assumptions))),
+        dimensions=records.dimensions,
+    )
+    if len(setup.scanners) != 1:
+        return info
+    (alone,) = setup.scanners.values()
+    down_rad = alone.down_rad
+    nadir = facts.rule("nadir")
+    if nadir is not None and down_rad is None:
+        down_rad = math.radians(float(nadir.value))
+    return replace(info, angle_rad=alone.angle_rad, down_rad=down_rad, cos_tilt=alone.cos_tilt)
+
+
+@dataclass(slots=True, repr=False)
 class GridStream(Brief):
     """Records as a stream of blocks; see :func:`open_grid`."""
 
     info: StreamInfo
     head: Head
     rules: GridRules
-    setups: dict[int, ScannerSetup]
-    """By scanner."""
-    default: ScannerSetup | None
-    """For scanners not met before; None where all are known."""
+    setup: Setup
+    _in_turns: frozenset[int] | None = None
 
     @property
     def source(self) -> Source:
         """The records, in the order of the blocks."""
         return self.head.source
 
-    @cached_property
-    def in_turns(self) -> frozenset[int]:
-        """Scanners whose rings fire in another order than they lie."""
-        in_turns = scanners_in_turns(self.head, self.rules)
-        self.head.forget()
-        return in_turns
+    def find_turns(self) -> frozenset[int]:
+        """Return the scanners whose rings fire in another order than they lie."""
+        if self._in_turns is None:
+            self._in_turns = scanners_in_turns(self.head, self.rules)
+            # nothing else is needed from the head
+            self.head.forget()
+        return self._in_turns
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
@@ -157,14 +170,14 @@ class GridStream(Brief):
             self.source,
             self.rules,
             lambda scanner: self._setup(scanner).lines,
-            self.in_turns,
+            self.find_turns(),
             self._prepare,
         )
         for whole in lines:
             yield from self._blocks_of(whole, self._setup(whole.scanner))
 
     def _setup(self, scanner: int) -> ScannerSetup:
-        setup = self.setups.get(scanner, self.default)
+        setup = self.setup.scanners.get(scanner, self.setup.default)
         if setup is None:
             problem = f"{self.rules.scanner} {scanner} was not there when the file was first read"
             raise InputError(

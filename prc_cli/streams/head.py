@@ -27,38 +27,13 @@ from prc_cli.streams.columns import (
     take,
 )
 from prc_cli.streams.evidence.periods import MAX_SHOTS
+from prc_cli.streams.replay import Replay
 
 HEAD_RECORDS = 1 << 18
 """Number of first records that are kept, and used for estimates."""
 HEAD_RECORDS_EACH = 1 << 16
 """Number of first records per scanner used for estimates where several share the input."""
 _RETURNS = ("return_number", "number_of_returns")
-
-
-class _Reading:
-    """One pass over some dimensions, whose first chunks are kept."""
-
-    def __init__(self, source: Source, names: tuple[str, ...]) -> None:
-        self.names = names
-        self._source = source
-        self._kept: list[RecordChunk] = []
-        self._n_records = 0
-        self._n_chunks = 0
-        self._rest = source.chunks(names)
-
-    def chunks(self) -> Iterator[RecordChunk]:
-        """Yield the kept chunks, and read on where they end."""
-        yield from self._kept
-        if len(self._kept) < self._n_chunks:
-            # another reader has gone on behind the kept chunks
-            yield from islice(self._source.chunks(self.names), len(self._kept), None)
-            return
-        for chunk in self._rest:
-            self._n_chunks += 1
-            if self._n_records < HEAD_RECORDS:
-                self._kept.append(chunk)
-                self._n_records += chunk.n
-            yield chunk
 
 
 @dataclass(frozen=True)
@@ -68,7 +43,8 @@ class Head:
     source: Source
     expected: set[str] = field(default_factory=set)
     """Dimensions that are decoded with the first ones asked for: other readers will need them."""
-    _readings: list[_Reading] = field(default_factory=list)
+    _readings: dict[frozenset[str], Replay[RecordChunk]] = field(default_factory=dict)
+    """By the dimensions that are decoded together."""
 
     @property
     def path(self) -> str:
@@ -101,33 +77,40 @@ class Head:
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode dimensions from the start, or return those that were decoded before."""
-        reading = self._reading_of(names)
+        decoded = self._decoded_with(names)
         position = 0
         try:
-            for chunk in reading.chunks():
+            for chunk in self._readings[decoded].read_head():
                 yield _select(chunk, names)
                 position += 1
         except InputError:
-            self._readings.remove(reading)
-            if set(names) == set(reading.names):
+            self._readings.pop(decoded, None)
+            if decoded == frozenset(names):
                 raise
             # a dimension that nobody has asked for may be damaged
             self.expected.clear()
-            for chunk in islice(self._reading_of(names).chunks(), position, None):
+            exact = self._readings[self._decoded_with(names)]
+            for chunk in islice(exact.read_head(), position, None):
                 yield _select(chunk, names)
 
-    def _reading_of(self, names: tuple[str, ...]) -> _Reading:
-        for reading in self._readings:
-            if set(names) <= set(reading.names):
-                return reading
-        every = (*names, *(name for name in self.dimensions if name in self.expected))
-        reading = _Reading(self.source, tuple(dict.fromkeys(every)))
-        self._readings.append(reading)
-        return reading
+    def _decoded_with(self, names: tuple[str, ...]) -> frozenset[str]:
+        """Return the dimensions of a reading that has all ``names``."""
+        for decoded in self._readings:
+            if decoded.issuperset(names):
+                return decoded
+        beside = (name for name in self.dimensions if name in self.expected)
+        every = tuple(dict.fromkeys((*names, *beside)))
+        decoded = frozenset(every)
+        self._readings[decoded] = Replay(
+            lambda: self.source.chunks(every), lambda chunk: chunk.n, HEAD_RECORDS
+        )
+        return decoded
 
     def forget(self) -> None:
-        """Free the kept records."""
-        self._readings.clear()
+        """Free the kept records, and end their readings."""
+        while self._readings:
+            _, reading = self._readings.popitem()
+            reading.forget()
 
 
 def _select(chunk: RecordChunk, names: tuple[str, ...]) -> RecordChunk:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import OrderError
-from prc_cli.core.stream import MAX_RINGS, ReadTally, ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.stream import MAX_RINGS, ReadTally, ScanBlock
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats.records import RecordChunk, Source, filtered
 
@@ -374,46 +374,6 @@ def order_hint(evidence: OrderEvidence, path: str = "", *, can_sort: bool) -> st
     if not can_sort:
         return "write the lines in the order of the scan; to accept this order: --trust-order"
     return "if no record is missing: --sort-by-time; to accept this order: --trust-order"
-
-
-@dataclass(frozen=True, slots=True)
-class WatchedStream:
-    """A stream of images that checks the order of its times while blocks pass.
-
-    Images cannot be sorted.
-    """
-
-    source: ScanStream
-    policy: Policy
-
-    @property
-    def info(self) -> StreamInfo:
-        """Metadata known before reading."""
-        return self.source.info
-
-    def blocks(self) -> Iterator[ScanBlock]:
-        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
-        info = self.info
-        watches: dict[int, OrderWatch] = {}
-        for block in self.source.blocks():
-            if block.time_s is None:
-                yield block
-                continue
-            # scanners of one file have clocks of their own
-            watch = watches.setdefault(
-                block.scanner,
-                OrderWatch(info.path, self.policy, info.facts.time_name, can_sort=False),
-            )
-            if info.facts.has_line_times or take_turns(block):
-                lines = np.arange(
-                    block.first_line, block.first_line + block.n_lines, dtype=np.int64
-                )
-                tally = watch.count(block.time_s[:, 0], lines * block.points_per_line)
-            else:
-                tally = watch.count(block.time_s.ravel(), None)
-            yield replace(block, tally=block.tally + tally)
-        for watch in watches.values():
-            watch.finish()
 
 
 def take_turns(block: ScanBlock) -> bool:

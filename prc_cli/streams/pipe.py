@@ -6,18 +6,19 @@ import contextlib
 import os
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.stream import ScanStream
 from prc_cli.formats.options import RANGES_ONLY, InputConfig, Layout, record_dtype
 from prc_cli.formats.raw_binary.read import FORMAT, layout_columns
 from prc_cli.formats.records import FieldSource
 from prc_cli.streams.grid import open_grid
 from prc_cli.streams.open import with_layout
+from prc_cli.streams.stream import Stream
 
 READ_BYTES = 1 << 20
 """Most bytes per read, and the requested size of the pipe where the system allows it."""
@@ -97,20 +98,26 @@ class PipeSource(FieldSource):
 
     def _pieces(self) -> Iterator[bytes]:
         """Yield the kept bytes, then those that arrive."""
-        yield from list(self._kept)
-        if self._sealed:
-            self._kept.clear()
-        while not self._ended:
-            piece = self._read()
-            if not self._sealed:
-                self._keep(piece)
-            if piece:
-                yield piece
+        position = 0
+        while True:
+            if position == len(self._kept):
+                if self._ended:
+                    return
+                self._keep(self._read())
+                continue
+            yield self._kept[position]
+            position += 1
+            if self._sealed:
+                # the last reading: no other needs them
+                del self._kept[:position]
+                position = 0
 
     def _keep(self, piece: bytes) -> None:
+        if not piece:
+            return
         self._kept.append(piece)
         self._n_kept += len(piece)
-        if self._n_kept > KEPT_BYTES:
+        if self._n_kept > KEPT_BYTES and not self._sealed:
             problem = (
                 f"lines and columns are not known after {self._n_kept >> 20} MiB, "
                 "and a pipe cannot be read twice"
@@ -143,7 +150,7 @@ def widen_pipe(handle: ByteStream) -> None:
 
 def open_pipe(
     handle: ByteStream, config: InputConfig, layout: Layout | None = None
-) -> tuple[PipeSource, ScanStream]:
+) -> tuple[PipeSource, Stream]:
     """Open a pipe as a stream, as :func:`prc_cli.streams.open.open_input`.
 
     Seal it before the end is read.
@@ -157,4 +164,8 @@ def open_pipe(
             "input.order", problem, "write the stream to a file first, or leave --sort-by-time out"
         )
     source = PipeSource(handle, layout)
-    return source, open_grid(source, config, line_hz=layout.line_frequency)
+    grid = open_grid(source, config, line_hz=layout.line_frequency)
+    if not grid.rules.is_dense:
+        # a sealed pipe can be read for the blocks alone
+        grid.find_turns()
+    return source, replace(Stream.of(grid), grid=grid)

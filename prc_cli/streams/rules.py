@@ -17,7 +17,6 @@ import re
 import shlex
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -183,6 +182,16 @@ class GridRules:
         return plain and self.config.order != "sort-time"
 
 
+@dataclass(frozen=True, slots=True)
+class _Ways:
+    """Resolved ``input.lines``, ``columns`` and ``range``."""
+
+    lines: str
+    columns: str
+    range: str
+    assumptions: tuple[Assumption, ...]
+
+
 def resolve_rules(
     head: Head,
     config: InputConfig,
@@ -199,85 +208,115 @@ def resolve_rules(
     if config.lines == "rings":
         problem = f"found 'rings', which {head.path} cannot be read by: it is no frame of x, y, z"
         raise ConfigError("input.lines", problem, "find lines in another way: --lines")
-    taken: list[Assumption] = []
-    scanner = None if config.scanner == "none" else config.scanner
-
-    @cache
-    def first() -> Table:
-        named = _argument(config.lines)
-        return first_shots(head, scanner, *((named,) if named in head.dimensions else ()))
-
     try:
-        lines, columns, range_ = _auto_rules(head, config, first, taken)
+        ways = _resolve_ways(head, config)
     except InputError:
         # a file without lines is often a tile: then report its order instead
         if config.order == "require":
             judge_first_records(head)
         raise
-    for key, rule in (("lines", lines), ("columns", columns), ("range", range_)):
-        kind, _, name = rule.partition(":")
-        name = {"angle": "angle", "angle-wrap": "angle", "time": "time"}.get(kind, name)
-        if kind in ("dimension", "angle", "angle-wrap", "time"):
-            _check_dimension(f"input.{key}", name, head)
-    if scanner is not None:
-        _check_dimension("input.scanner", scanner, head)
-    taken += _said(config, lines, columns, head.dimensions)
-    has_sensor_xyz = _has_sensor_xyz(head, range_, taken)
+    scanner = None if config.scanner == "none" else config.scanner
+    _check_dimensions(head, ways, scanner)
+    has_sensor_xyz = _has_sensor_xyz(head, ways.range)
     ranges = open_ranges(
-        range_,
+        ways.range,
         head.dimensions,
         head.path,
         config,
         crs_wkt=head.facts.crs_wkt,
         sensor_xyz=has_sensor_xyz,
     )
-    line_hz = parse_rate(lines) if lines.startswith("time:") else None
-    shot_hz = parse_rate(columns) if columns.startswith("time:") else None
-    m, why = _known_points_per_line(head, config, lines, columns, line_hz, shot_hz)
-    told_m = () if why is None else (Assumption("input.points_per_line", str(m), why),)
+    limits = limits_of(config, ways.lines, ways.columns, head.dimensions)
+    assumptions = [*ways.assumptions, *limits]
+    if has_sensor_xyz:
+        name = _argument(ways.range)
+        why = f"their length is {name!r} in the first records: they are relative to the scanner"
+        assumptions.append(Assumption("input.range", "x, y, z as directions", why))
+    line_hz = parse_rate(ways.lines) if ways.lines.startswith("time:") else None
+    shot_hz = parse_rate(ways.columns) if ways.columns.startswith("time:") else None
+    m, why_m = _known_points_per_line(head, config, ways.lines, ways.columns, line_hz, shot_hz)
+    assumptions += ranges.assumptions
+    if why_m is not None:
+        assumptions.append(Assumption("input.points_per_line", str(m), why_m))
+    needs_heights = geometry and not head.facts.downs
     return GridRules(
         path=head.path,
         config=config,
         dimensions=head.dimensions,
-        lines=lines.partition(":")[0],
-        columns=columns.partition(":")[0],
-        range=range_,
+        lines=ways.lines.partition(":")[0],
+        columns=ways.columns.partition(":")[0],
+        range=ways.range,
         ranges=ranges,
-        line_dimension=_argument(lines),
-        column_dimension=_argument(columns),
+        line_dimension=_argument(ways.lines),
+        column_dimension=_argument(ways.columns),
         line_hz=line_hz,
         shot_hz=shot_hz,
         scanner=scanner,
-        height_names=_height_names(head, config, range_)
-        if geometry and not head.facts.downs
-        else (),
-        point_names=_point_names(head, range_) if geometry else (),
-        whole_turn=columns == "angle" and _is_whole_turn(head, first),
+        height_names=_height_names(head, config, ways.range) if needs_heights else (),
+        point_names=_point_names(head, ways.range) if geometry else (),
+        whole_turn=ways.columns == "angle" and _is_whole_turn(head, config),
         points_per_line=m,
-        assumptions=(*taken, *ranges.assumptions, *told_m),
+        assumptions=tuple(assumptions),
         geometry=geometry,
         only_ranges=only_ranges,
         with_intensity=with_intensity,
     )
 
 
-def _said(
-    config: InputConfig,
-    lines: str,
-    columns: str,
-    has: tuple[str, ...],
+def _resolve_ways(head: Head, config: InputConfig) -> _Ways:
+    """Replace ``auto``; everything that is missing is one error."""
+    assumptions: list[Assumption] = []
+    missing: list[InputError] = []
+
+    def resolved(key: str, rule: str, answer: Callable[[], tuple[str, str]]) -> str:
+        """Return the rule, or an empty text if there is none."""
+        if rule != "auto":
+            return rule
+        try:
+            rule, why = answer()
+        except InputError as error:
+            missing.append(error)
+            return ""
+        assumptions.append(Assumption(f"input.{key}", rule, why))
+        return rule
+
+    lines = resolved("lines", config.lines, lambda: _auto_lines(head, config))
+    # without lines, those by time are the ones that need columns
+    of_lines = lines or ("time:" if "time" in head.dimensions else "fixed")
+    columns = resolved("columns", config.columns, lambda: _auto_columns(head, config, of_lines))
+    range_ = resolved("range", config.range, lambda: _auto_range(head))
+    if missing:
+        raise _all_missing(head, missing, config)
+    return _Ways(lines, columns, range_, tuple(assumptions))
+
+
+def _check_dimensions(head: Head, ways: _Ways, scanner: str | None) -> None:
+    for key, rule in (("lines", ways.lines), ("columns", ways.columns), ("range", ways.range)):
+        kind, _, argument = rule.partition(":")
+        if kind == "dimension":
+            _check_dimension(f"input.{key}", argument, head)
+        elif kind in ("angle", "angle-wrap", "time"):
+            _check_dimension(f"input.{key}", kind.partition("-")[0], head)
+    if scanner is not None:
+        _check_dimension("input.scanner", scanner, head)
+
+
+def limits_of(
+    config: InputConfig, lines: str, columns: str, dimensions: tuple[str, ...]
 ) -> Iterator[Assumption]:
-    if columns.startswith("time:") and not lines.startswith("time:"):
+    """Yield what the rules of an input cannot know."""
+    by_time = lines.startswith("time:")
+    if columns.startswith("time:") and not by_time:
         # no source for the start of lines
         why = "lines that begin with missing shots shift; with --lines time:HZ they do not"
         yield Assumption("input.columns", "column 0 is the first return of each line", why)
     if config.columns == "order" and lines != "fixed":
         why = "given; if a shot is missing, the rest of its line moves up"
         yield Assumption("input.columns", "order", why)
-    if lines.startswith("time:") and config.time_origin is None:
+    if by_time and config.time_origin is None:
         why = "assumed time of line 0, column 0: the input does not contain the phase of the mirror"
         yield Assumption("input.time_origin", "time of the first record", why)
-    if config.return_ != "strongest" and "number_of_returns" not in has:
+    if config.return_ != "strongest" and "number_of_returns" not in dimensions:
         why = "the input does not say how many returns a shot has: every record is a shot"
         yield Assumption("input.return", "no effect", why)
 
@@ -323,39 +362,6 @@ def trusting(source: Source | None, config: InputConfig) -> InputConfig:
     if config.order != "require" or (source is not None and is_order_lost(source, config)):
         return config
     return config.model_copy(update={"order": "trust"})
-
-
-def _auto_rules(
-    source: Source,
-    config: InputConfig,
-    first: Callable[[], Table],
-    taken: list[Assumption],
-) -> tuple[str, str, str]:
-    missing: list[InputError] = []
-
-    def resolved(key: str, rule: str, ask: Callable[[], tuple[str, str]]) -> str:
-        """Return the rule and record its reason.
-
-        It is empty if there is none; its error is kept.
-        """
-        if rule != "auto":
-            return rule
-        try:
-            rule, why = ask()
-        except InputError as error:
-            missing.append(error)
-            return ""
-        taken.append(Assumption(f"input.{key}", rule, why))
-        return rule
-
-    lines = resolved("lines", config.lines, lambda: _auto_lines(source, config, first))
-    # without lines, those by time are the ones that need columns
-    of_lines = lines or ("time:" if "time" in source.dimensions else "fixed")
-    columns = resolved("columns", config.columns, lambda: _auto_columns(source, of_lines, first))
-    range_ = resolved("range", config.range, lambda: _auto_range(source))
-    if missing:
-        raise _all_missing(source, missing, config)
-    return lines, columns, range_
 
 
 MEASURED = " measures the rates and prints the command; or "
@@ -434,20 +440,28 @@ def _implied(
     return (named or of_format) if dimension_first else (of_format or named)
 
 
-def _is_whole_turn(source: Source, first: Callable[[], Table]) -> bool:
+def _first_shots(source: Source, config: InputConfig) -> Table:
+    scanner = None if config.scanner == "none" else config.scanner
+    named = _argument(config.lines)
+    return first_shots(source, scanner, *((named,) if named in source.dimensions else ()))
+
+
+def _is_whole_turn(source: Source, config: InputConfig) -> bool:
     """Whether lines are whole turns, as the format or the times of the shots say."""
+    if source.facts.rule("turn") is not None:
+        return True
     has_turns = {"time", "angle"} <= set(source.dimensions)
-    return source.facts.rule("turn") is not None or (has_turns and turns_round(first()))
+    return has_turns and turns_round(_first_shots(source, config))
 
 
-def _auto_lines(source: Source, config: InputConfig, first: Callable[[], Table]) -> tuple[str, str]:
+def _auto_lines(source: Source, config: InputConfig) -> tuple[str, str]:
     if (implied := _implied(source, "lines", "scan_line")) is not None:
         return implied
     m = config.points_per_line
-    has_angle = "angle" in source.dimensions
-    if m is not None and not (has_angle and lacks_shots(first(), source.path, m)):
+    shots = _first_shots(source, config) if "angle" in source.dimensions else None
+    if m is not None and (shots is None or not lacks_shots(shots, source.path, m)):
         return "fixed", f"points_per_line = {m} is given and the input has no dimension scan_line"
-    if has_angle and has_sweeps(first(), source.path):
+    if shots is not None and has_sweeps(shots, source.path):
         why = "no dimension scan_line, but the scan angle runs in sweeps"
         return "angle-wrap", why + ("" if m is None else f", and they lack some of their {m} shots")
     ways = ["-M NUMBER (shots per line)", "--lines dimension:NAME"]
@@ -464,17 +478,16 @@ def _auto_lines(source: Source, config: InputConfig, first: Callable[[], Table])
     raise InputError(source.path, problem, f"give {_either(ways)}")
 
 
-def _auto_columns(source: Source, lines: str, first: Callable[[], Table]) -> tuple[str, str]:
+def _auto_columns(source: Source, config: InputConfig, lines: str) -> tuple[str, str]:
     if lines == "fixed":
         return "order", "lines are fixed: every shot has its record"
     if (implied := _implied(source, "columns", "column", dimension_first=False)) is not None:
         return implied
     why = "the input has no dimension column"
     if "angle" in source.dimensions and _argument(lines) in (None, *source.dimensions):
-        whole_turn = _is_whole_turn(source, first)
-        gives, why = columns_of_angles(
-            first(), _argument(lines), source.path, whole_turn=whole_turn
-        )
+        shots = _first_shots(source, config)
+        whole_turn = _is_whole_turn(source, config)
+        gives, why = columns_of_angles(shots, _argument(lines), source.path, whole_turn=whole_turn)
         if gives:
             return "angle", why
     if lines.startswith("time:"):
@@ -484,7 +497,7 @@ def _auto_columns(source: Source, lines: str, first: Callable[[], Table]) -> tup
     return "order", f"{why}; if a shot is missing, the rest of its line moves up"
 
 
-def _has_sensor_xyz(source: Source, range_: str, taken: list[Assumption]) -> bool:
+def _has_sensor_xyz(source: Source, range_: str) -> bool:
     """Whether coordinates beside ranges are relative to the scanner.
 
     For a profiler, scan angles show it as well.
@@ -495,11 +508,7 @@ def _has_sensor_xyz(source: Source, range_: str, taken: list[Assumption]) -> boo
     first = next(iter(source.chunks((*XYZ, name))), None)
     if first is None or not is_sensor_xyz(first.values, name):
         return False
-    if "angle" in source.dimensions and is_in_plane(first.values):
-        return False
-    why = f"their length is {name!r} in the first records: they are relative to the scanner"
-    taken.append(Assumption("input.range", "x, y, z as directions", why))
-    return True
+    return not ("angle" in source.dimensions and is_in_plane(first.values))
 
 
 def _auto_range(source: Source) -> tuple[str, str]:

@@ -127,72 +127,111 @@ class Estimates:
     steps: Steps = Steps()
 
 
-def set_up(
-    head: Head, rules: GridRules, end: WindowEnd | None = None
-) -> tuple[dict[int, ScannerSetup], ScannerSetup | None, int | None, tuple[Assumption, ...]]:
-    """Return setups of known and of later scanners, the number of lines, and assumptions."""
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """How all scanners of an input are read."""
+
+    scanners: dict[int, ScannerSetup]
+    """By scanner."""
+    default: ScannerSetup | None
+    """For scanners that are not among the first records; None where all are known."""
+    n_lines: int | None
+    """Scan lines of all scanners; None if they were not counted."""
+    assumptions: tuple[Assumption, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """Size of the image of a scanner."""
+
+    n_lines: int = 0
+    n_shots: int = 0
+    n_columns: int = 0
+
+
+def set_up(head: Head, rules: GridRules, end: WindowEnd | None = None) -> Setup:
+    """Fix how every scanner is read, from the head; M may take a pass over the whole input."""
     m = rules.points_per_line
     if m is not None and rules.config.points_per_line is None:
         check_found_columns(rules.path, m, head.n_records)
     steps = _steps(head, rules)
     estimates, probes = probe(head, rules, steps)
-    n_lines: int | None = None
+    unseen = Estimates(timing=_given_timing(rules), steps=_usual_step(steps))
+    assumptions = [*_step_assumptions(rules, steps), *_estimate_assumptions(rules, estimates)]
     n_known = head.n_records or 0
-    sizes: dict[int, int | None] = dict.fromkeys(estimates, m)
-    taken = [*_step_assumptions(rules, steps), *_estimate_assumptions(rules, estimates)]
-    if m is None:
-        for scanner, estimate in estimates.items():
-            grid = estimate.angle_grid
-            sizes[scanner] = grid.n_columns if grid is not None and grid.whole_turn else None
-        if None in sizes.values() or not sizes:
-            extents = _survey(head, rules, estimates, end, Estimates(steps=_usual_step(steps)))
-            n_lines = sum(n for n, _, _ in extents.values())
-            n_known = max(n_known, sum(n for _, n, _ in extents.values()))
-            sizes = {
-                scanner: sizes.get(scanner) or max(extents[scanner][2], 1)
-                for scanner in sorted(extents)
-            }
-            images = {
-                scanner: (lines, sizes[scanner] or 1, shots)
-                for scanner, (lines, shots, _) in extents.items()
-            }
-            check_image(rules.path, images, rules.scanner or "")
-        why = _size_reason(rules, end, whole_pass=n_lines is not None)
-        which = {
-            scanner: "" if rules.scanner is None else f"scanner {scanner}: "
-            for scanner in sorted(sizes)
-        }
-        shown = ", ".join(f"{prefix}{sizes[scanner]}" for scanner, prefix in which.items())
-        taken.append(Assumption("input.points_per_line", shown, why))
+    n_lines = None
+    if m is not None:
+        sizes = dict.fromkeys(estimates, m)
+    else:
+        sizes = _sizes_of_turns(estimates)
+        if not sizes:
+            extents = _survey(head, rules, estimates, end, unseen)
+            sizes = _sizes_of_images(rules, extents, estimates)
+            n_lines = sum(extent.n_lines for extent in extents.values())
+            n_known = max(n_known, sum(extent.n_shots for extent in extents.values()))
+        assumptions.append(_size_assumption(rules, sizes, end, is_counted=n_lines is not None))
     setups = {}
+    downs = head.facts.downs
     for scanner, size in sizes.items():
-        if size is None:
-            continue
         if m is None:
             check_found_columns(rules.path, size, head.n_records)
         setup, scanner_assumptions = _set_up_one(
-            rules,
-            scanner,
-            size,
-            estimates.get(scanner) or Estimates(steps=_usual_step(steps)),
-            probes.get(scanner),
-            n_known,
+            rules, scanner, size, estimates.get(scanner, unseen), probes.get(scanner), n_known
         )
-        if scanner in head.facts.downs:
-            down_rad, cos_tilt = head.facts.downs[scanner]
-            setup = replace(setup, down_rad=down_rad, cos_tilt=cos_tilt)
-        setups[scanner] = setup
-        taken += scanner_assumptions
+        setups[scanner] = _with_known_down(setup, downs.get(scanner))
+        assumptions += scanner_assumptions
     if m is None:
-        if not setups:
-            raise nothing_placed(rules.path)
-        return setups, None, n_lines, tuple(taken)
-    unseen = Estimates(timing=_given_timing(rules), steps=_usual_step(steps))
+        return Setup(setups, None, n_lines, tuple(assumptions))
     default, _ = _set_up_one(rules, 0, m, unseen, None, head.n_records or 0)
-    for scanner, (down_rad, cos_tilt) in head.facts.downs.items():
+    for scanner, down in downs.items():
         # scanners that were not among the first records
-        setups.setdefault(scanner, replace(default, down_rad=down_rad, cos_tilt=cos_tilt))
-    return setups, default, n_lines, tuple(taken)
+        setups.setdefault(scanner, _with_known_down(default, down))
+    return Setup(setups, default, n_lines, tuple(assumptions))
+
+
+def _with_known_down(setup: ScannerSetup, down: tuple[float, float] | None) -> ScannerSetup:
+    if down is None:
+        return setup
+    down_rad, cos_tilt = down
+    return replace(setup, down_rad=down_rad, cos_tilt=cos_tilt)
+
+
+def _sizes_of_turns(estimates: dict[int, Estimates]) -> dict[int, int]:
+    """Return M by scanner if the lines of all scanners are whole turns, else nothing."""
+    grids = {scanner: estimate.angle_grid for scanner, estimate in estimates.items()}
+    sizes = {
+        scanner: grid.n_columns
+        for scanner, grid in grids.items()
+        if grid is not None and grid.whole_turn
+    }
+    return sizes if len(sizes) == len(estimates) else {}
+
+
+def _sizes_of_images(
+    rules: GridRules, extents: dict[int, Extent], estimates: dict[int, Estimates]
+) -> dict[int, int]:
+    """Return M by scanner, of its turns or else of its longest line; refuse empty images."""
+    sizes = {}
+    for scanner in sorted(extents):
+        turns = {scanner: estimates[scanner]} if scanner in estimates else {}
+        size = _sizes_of_turns(turns).get(scanner)
+        sizes[scanner] = size or max(extents[scanner].n_columns, 1)
+    images = {
+        scanner: replace(extent, n_columns=sizes[scanner]) for scanner, extent in extents.items()
+    }
+    check_image(rules.path, images, rules.scanner or "")
+    return sizes
+
+
+def _size_assumption(
+    rules: GridRules, sizes: dict[int, int], end: WindowEnd | None, *, is_counted: bool
+) -> Assumption:
+    shown = [
+        f"{size}" if rules.scanner is None else f"scanner {scanner}: {size}"
+        for scanner, size in sorted(sizes.items())
+    ]
+    why = _size_reason(rules, end, whole_pass=is_counted)
+    return Assumption("input.points_per_line", ", ".join(shown), why)
 
 
 def _set_up_one(
@@ -210,18 +249,19 @@ def _set_up_one(
         n_spare = SPARE_CELLS if rules.scanner is None else MIN_CELLS
         max_gap = rules.config.max_gap_lines
         # a raised limit for gaps needs some more cells
-        lines = replace(
-            lines, n_spare=n_spare + max_gap * m if max_gap > USUAL_GAP_LINES else n_spare
-        )
+        if max_gap > USUAL_GAP_LINES:
+            n_spare += max_gap * m
+        lines = replace(lines, n_spare=n_spare)
     recorded = _angles(rules, m, estimates, first)
     angle, assumptions = _agreed_angles(rules, first, columns, recorded, scanner)
     if first is None or angle is None or not rules.height_names:
         return ScannerSetup(m, lines, columns, angle), assumptions
-    of_columns = rules.gives_angles or angle is not recorded
-    down_rad, cos_tilt, told_down = _down(
-        rules, _with_angles(first, columns, angle) if of_columns else first.records, scanner
-    )
-    return ScannerSetup(m, lines, columns, angle, down_rad, cos_tilt), [*assumptions, told_down]
+    records = first.records
+    if rules.gives_angles or angle is not recorded:
+        records = _with_angles(first, columns, angle)
+    down_rad, cos_tilt, down_assumption = _down(rules, records, scanner)
+    assumptions.append(down_assumption)
+    return ScannerSetup(m, lines, columns, angle, down_rad, cos_tilt), assumptions
 
 
 def most_cells(n_records: int) -> int:
@@ -229,22 +269,25 @@ def most_cells(n_records: int) -> int:
     return MIN_CELLS + MAX_CELLS_PER_RECORD * n_records
 
 
-def check_image(path: str, sizes: dict[int, tuple[int, int, int]], which: str = "") -> None:
+def check_image(path: str, images: dict[int, Extent], which: str = "") -> None:
     """Refuse an image that is absurdly empty."""
-    n_cells = sum(n_lines * n_columns for n_lines, n_columns, _ in sizes.values())
-    is_empty = n_cells > most_cells(sum(n_shots for _, _, n_shots in sizes.values()))
+    spare = {
+        scanner: most_cells(image.n_shots) - image.n_lines * image.n_columns
+        for scanner, image in images.items()
+    }
+    n_cells = sum(image.n_lines * image.n_columns for image in images.values())
+    is_empty = n_cells > most_cells(sum(image.n_shots for image in images.values()))
     # name the emptiest scanner
-    for scanner in sorted(
-        sizes,
-        key=lambda number: -sizes[number][0] * sizes[number][1] + most_cells(sizes[number][2]),
-    ):
-        n_lines, n_columns, n_shots = sizes[scanner]
-        if is_empty or n_columns > MAX_COLUMN:
+    for scanner in sorted(images, key=lambda number: spare[number]):
+        image = images[scanner]
+        if is_empty or image.n_columns > MAX_COLUMN:
             where = f"{path}: {which} {scanner}" if which else path
-            problem = f"{n_lines} lines of {n_columns} columns for {n_shots} shots"
+            problem = (
+                f"{image.n_lines} lines of {image.n_columns} columns for {image.n_shots} shots"
+            )
             cause = "a column number is wrong"
             hint = "give the shots in a scan line: -M NUMBER"
-            if n_lines > max(n_shots, n_columns):
+            if image.n_lines > max(image.n_shots, image.n_columns):
                 cause = "line numbers or times jump"
                 hint = f"check them, or {hint}"
             raise InputError(where, f"{problem}: {cause}, expected fewer cells", hint)
@@ -287,12 +330,9 @@ def _survey(
     estimates: dict[int, Estimates],
     end: WindowEnd | None,
     unseen: Estimates,
-) -> dict[int, tuple[int, int, int]]:
-    """Read the input once for lines, shots and M of every scanner.
-
-    It stops at the end of a window.
-    """
-    extents: dict[int, tuple[int, int, int]] = {}
+) -> dict[int, Extent]:
+    """Count lines, shots and columns of every scanner in one pass, up to the end of a window."""
+    extents: dict[int, Extent] = {}
     lines = whole_lines(
         head.source,
         rules,
@@ -302,7 +342,9 @@ def _survey(
     for whole in lines:
         if end is not None and extents and end.passed(whole.first_line, whole.records):
             break
-        _, n_shots, size = extents.get(whole.scanner, (0, 0, 0))
+        before = extents.get(whole.scanner, Extent())
+        n_shots = before.n_shots
+        size = before.n_columns
         records = whole.records
         if n_rows(records):
             rule = column_rule(rules, estimates.get(whole.scanner, unseen))
@@ -314,7 +356,7 @@ def _survey(
             else:
                 column = find_columns(records, rule, whole.origin_s)
                 size = max(size, int(column.max(initial=-1)) + 1)
-        extents[whole.scanner] = (whole.stop_line, n_shots, size)
+        extents[whole.scanner] = Extent(whole.stop_line, n_shots, size)
     return extents
 
 

@@ -1,4 +1,4 @@
-"""The choice of a method leaves no reader open."""
+"""The choice of a method leaves no reader open but the one of the blocks that come next."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from prc_cli.core.threads import read_ahead
 from prc_cli.formats.input import Input
 from prc_cli.jobs.choice import choose
 from prc_cli.streams.open import open_input
+from prc_cli.streams.stream import Stream
 from tests.methods.fused.street_lines import BEAM, street_lines
 
 
@@ -48,6 +49,8 @@ def test_threads_of_readers_end_with_the_choice(tmp_path: Path, fails: bool) -> 
     config = load_config().config
     stream = ThreadedStream(open_input(Input.of(path), config.input, lines_at_once=8), fails=fails)
     before = threading.active_count()
-    choice, _ = choose(stream, config)
+    choice, chosen = choose(Stream.of(stream), config)
+    assert threading.active_count() <= before + (not fails)
+    chosen.first.forget()
     assert threading.active_count() == before
     assert choice.preset == ("urban" if fails else "fused")

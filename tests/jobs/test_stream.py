@@ -16,10 +16,12 @@ from prc_cli.core.findings import CHECK_NAMES, Finding
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32
 from prc_cli.core.window import Window
+from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.progress import share_done
 from prc_cli.jobs.stream import stream
-from prc_cli.streams.evidence.watch import EvidenceStream, LiveEvidence
+from prc_cli.streams.evidence.watch import LiveFindings, evidence_of, watched_live
+from prc_cli.streams.stream import Stream
 from tests.street import POINTS_PER_LINE, street
 
 URBAN = load_config(
@@ -52,9 +54,14 @@ def shuffled(image: F32) -> F32:
     return columns_shuffled
 
 
+def live_stream(source: Endless, accepted: tuple[str, ...] = ()) -> Stream:
+    begin = evidence_of(source, InputConfig(accept_doubts=accepted))
+    return watched_live(source, begin, LiveFindings("stdin", accepted, [].append))
+
+
 def test_a_stream_without_an_end_is_refused_while_it_goes_on() -> None:
     bad = shuffled(street())
-    live = LiveEvidence(EvidenceStream(Endless(bad, bad)), [].append)
+    live = live_stream(Endless(bad, bad))
     with pytest.raises(EvidenceError, match="stdin: ranges of neighbouring shots"):
         for _ in live.blocks():
             pass
@@ -64,7 +71,7 @@ def test_what_goes_wrong_later_is_found_as_the_stream_grows() -> None:
     good = street(7000)
     far = np.full((500, POINTS_PER_LINE), 40_000.0, np.float32)
     others = tuple(name for name in CHECK_NAMES if name != "ranges")
-    live = LiveEvidence(EvidenceStream(Endless(good, far), others), [].append)
+    live = live_stream(Endless(good, far), others)
     n_lines = 0
     with pytest.raises(EvidenceError, match="of the ranges are beyond"):
         for block in live.blocks():

@@ -27,6 +27,7 @@ from prc_cli.streams.down import wrap
 from prc_cli.streams.evidence.figures import LineSample, Seen
 from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
 from prc_cli.streams.open import open_input
+from prc_cli.streams.stream import Stream
 from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.profiler import jakarto, jakarto_input, scanner_positions, write_trajectory
 from tests.streams.beam_lines import (
@@ -111,7 +112,7 @@ def test_prc_for_want_of_beams_is_a_doubt_where_lines_have_returns(
     block = lines(GEOMETRIES["through the zenith"], missing=0.0)
     source = stream(with_stray_shots(block, 200))
     monkeypatch.setattr("prc_cli.streams.beams.MAX_SAMPLE_CELLS", 70 * block.points_per_line)
-    (doubt,) = choose(source, load_config().config)[0].findings
+    (doubt,) = choose(Stream.of(source), load_config().config)[0].findings
     assert "shots tell nothing" in doubt.found
 
 

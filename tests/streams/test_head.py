@@ -6,15 +6,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from prc_cli.core.errors import InputError
+from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import RecordChunk
 from prc_cli.formats.text.read import TextSource
 from prc_cli.jobs.classify import classify
+from prc_cli.jobs.convert import convert
 from prc_cli.streams import head as heads
 from prc_cli.streams.grid import open_grid
 from prc_cli.streams.head import Head
@@ -97,14 +100,40 @@ def test_rules_and_setup_decode_the_head_once() -> None:
     assert len(source.reads) == 4
 
 
-def test_decodings_of_one_classify(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def classify_counting(
+    monkeypatch: pytest.MonkeyPatch,
+    kind: type[TextSource] | type[LasSource],
+    source: Path,
+    output: Path,
+) -> list[tuple[str, ...]]:
+    """Classify a file and return what each of its decodings asked for."""
     reads: list[tuple[str, ...]] = []
-    chunks = TextSource.chunks
+    chunks = kind.chunks
 
-    def counted(source: TextSource, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+    def counted(source: Any, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         reads.append(names)
         return chunks(source, names)
 
-    monkeypatch.setattr(TextSource, "chunks", counted)
-    classify(write_csv(tmp_path / "drive.csv", street()), tmp_path / "labels.npy")
-    assert len(reads) == 7
+    monkeypatch.setattr(kind, "chunks", counted)
+    classify(source, output)
+    return reads
+
+
+def test_decodings_of_a_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = write_csv(tmp_path / "drive.csv", street())
+    head, columns, blocks = classify_counting(
+        monkeypatch, TextSource, source, tmp_path / "labels.npy"
+    )
+    assert set(head) == {"scan_line", "column", "range", "angle"}
+    assert set(columns) == {"scan_line", "column"}  # the largest column is M
+    assert set(blocks) == {"scan_line", "column", "range"}
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+def test_decodings_of_a_cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str) -> None:
+    source = tmp_path / f"drive.{suffix}"
+    convert(write_csv(tmp_path / "drive.csv", street()), source)
+    reads = classify_counting(monkeypatch, LasSource, source, tmp_path / f"out.{suffix}")
+    head, blocks = [set(names) for names in reads if "range" in names]
+    assert "angle" in head
+    assert "angle" not in blocks

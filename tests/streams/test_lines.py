@@ -18,7 +18,7 @@ from prc_cli.streams.columns import StampState, spread_stamps
 from prc_cli.streams.lines import LineState, lines_by_dimension
 from prc_cli.streams.open import open_input
 from prc_cli.streams.ranges import RangeRule, measure_ranges, open_ranges
-from prc_cli.streams.rules import _said, with_elevation
+from prc_cli.streams.rules import limits_of, with_elevation
 from prc_cli.streams.trajectory import Trajectory
 from tests.streams.record_lists import MemorySource
 
@@ -99,7 +99,7 @@ def test_the_first_record_begins_the_lines_by_time_unless_told(
     config = InputConfig(
         lines="time:10", columns="time:100", points_per_line=10, time_origin=origin
     )
-    keys = {assumption.key for assumption in _said(config, "time:10", "time:100", ())}
+    keys = {assumption.key for assumption in limits_of(config, "time:10", "time:100", ())}
     assert ("input.time_origin" in keys) == is_told
 
 

@@ -14,11 +14,12 @@ import pytest
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ReadTally, ScanBlock, StreamInfo
-from prc_cli.core.window import parse_window
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig, Layout, LayoutField
-from prc_cli.streams.open import WindowedStream, open_input
+from prc_cli.streams.filters import windowed
+from prc_cli.streams.open import open_input
 from prc_cli.streams.pipe import PipeSource, open_pipe
+from prc_cli.streams.stream import Stream
 
 RANGES = Layout(fields=(LayoutField(name="range", type="f4"),))
 RECORDS = Layout(
@@ -157,9 +158,8 @@ class ReadsAhead:
     ("lines", "n_lines"), [("0:10", 10), ("0:12", 12), ("3:20", 17), (":", 20)]
 )
 def test_records_of_the_window_are_counted_and_no_others(lines: str, n_lines: int) -> None:
-    window = parse_window(lines, None, None)
-    assert window is not None
-    blocks = list(WindowedStream(ReadsAhead(), window).blocks())
+    config = InputConfig(only_lines=lines)
+    blocks = list(windowed(Stream.of(ReadsAhead()), config).blocks())
     assert sum(block.n_lines for block in blocks) == n_lines
     assert sum(block.tally.n_records for block in blocks) == 8 * n_lines
     assert [block.is_last for block in blocks] == [False] * (len(blocks) - 1) + [True]

@@ -189,7 +189,14 @@ def calibrate(
     sources = {**loaded.sources, **{item.key: f"prc calibrate: {item.reason}" for item in advice}}
     calibrated = replace(loaded, config=with_values(loaded.config, values), sources=sources)
     return Calibration(
-        str(scan), sensor, curves, advice, calibrated, result, notes, watch.findings()
+        str(scan),
+        sensor,
+        curves,
+        advice,
+        calibrated,
+        result,
+        notes,
+        tuple(watch.observed.findings),
     )
 
 

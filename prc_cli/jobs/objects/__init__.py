@@ -31,7 +31,7 @@ from prc_cli.core.files import (
     whole_set,
 )
 from prc_cli.core.findings import Doubted, Finding
-from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream
+from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F64, U8
 from prc_cli.formats.input import Input
 from prc_cli.formats.labels import NAMES
@@ -44,7 +44,8 @@ from prc_cli.jobs.objects.grow import RULES, Grower, Rule, ScanObject, runs_of
 from prc_cli.jobs.run import Counts, Progress, Run
 from prc_cli.methods.base import Wanted
 from prc_cli.streams.beams import with_beams
-from prc_cli.streams.evidence.watch import EvidenceStream, watched
+from prc_cli.streams.evidence.watch import watched
+from prc_cli.streams.stream import Stream
 
 COLUMNS = tuple(column.name for column in fields(ScanObject))
 SUFFIXES = (".csv", ".geojson", ".parquet")
@@ -303,7 +304,7 @@ class _Finder:
                 self._label_of[run.loaded.config.classes.code(label)] = label
         self._growers: dict[int, Grower] = {}
         self._n = Counter[str]()
-        self._watch: EvidenceStream | None = None
+        self._watch: Stream | None = None
         self._judge: Judge | None = None
         self._findings: tuple[Finding, ...] = ()
 
@@ -321,7 +322,10 @@ class _Finder:
                 for scan_object in grower.finish():
                     yield self._numbered(scan_object)
         assert self._watch is not None
-        self._findings = (self._judge or self._watch).findings()
+        if self._judge is None:
+            self._findings = tuple(self._watch.observed.findings)
+        else:
+            self._findings = self._judge.findings()
 
     def summary(self) -> ObjectsSummary:
         assert self._watch is not None
@@ -332,12 +336,12 @@ class _Finder:
             record, self._run.counts, {kind: self._n[kind] for kind in kinds}, self._findings
         )
 
-    def _blocks(self, stream: ScanStream) -> Iterator[ScanBlock] | Iterator[LabelledBlock]:
+    def _blocks(self, stream: Stream) -> Iterator[ScanBlock] | Iterator[LabelledBlock]:
         """Watch the blocks of a stream, and label them unless the input has classes."""
         config = self._run.loaded.config
         # classes of the input need no method: it is checked as for PRC, which needs the least
         params = config.prc if self._takes_classes else config.classifier
-        first = next(stream.blocks(), None)
+        first = next(stream.first_blocks(), None)
         has_xyz = first is not None and first.xyz_m is not None
         stream = with_beams(stream, config.input)
         self._watch = watched(

@@ -28,7 +28,7 @@ from prc_cli.core.files import (
     suffix_of,
 )
 from prc_cli.core.findings import Finding
-from prc_cli.core.stream import LabelledBlock, ScanStream, StreamInfo
+from prc_cli.core.stream import LabelledBlock, StreamInfo
 from prc_cli.core.types import Mask
 from prc_cli.formats import LAS_SUFFIXES, scan_file
 from prc_cli.formats.input import Input
@@ -59,6 +59,7 @@ from prc_cli.methods.base import Wanted
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.evidence.watch import watched
 from prc_cli.streams.grid import GridStream
+from prc_cli.streams.stream import Stream
 
 CLASSIFY = "classify"
 """Value of ``labels`` for classifying the input on the fly."""
@@ -499,7 +500,7 @@ class _Thinner:
         """Open the stream, with the class codes of every block."""
         config = self.loaded.config
 
-        def labelled(stream: ScanStream) -> Iterator[LabelledBlock]:
+        def labelled(stream: Stream) -> Iterator[LabelledBlock]:
             directed = with_beams(stream, config.input) if config.needs_beams else stream
             needs = config.classifier.method().needs
             wanted = Wanted(confidence=self.min_confidence is not None)
@@ -689,7 +690,7 @@ def _options_to_read(grid: GridStream) -> tuple[str, ...]:
     if rules.columns == "angle" and (
         rules.config.angle_start is None or rules.config.angle_step is None
     ):
-        for setup in grid.setups.values():
+        for setup in grid.setup.scanners.values():
             if (angles := setup.columns.grid) is not None:
                 start = math.degrees(angles.start_rad)
                 step = math.degrees(angles.step_rad)

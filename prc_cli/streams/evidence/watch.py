@@ -7,7 +7,6 @@ their final name later.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -16,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from prc_cli.core.brief import Brief
 from prc_cli.core.findings import CHECK_NAMES, ORDER_CHECKS, Finding, accept, doubts, refuse
 from prc_cli.core.hints import fitting_finding
 from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StreamInfo
@@ -31,6 +29,7 @@ from prc_cli.streams.evidence.line_limits import LEAST_LINES
 from prc_cli.streams.evidence.reading import with_other_reading
 from prc_cli.streams.evidence.repeats import LineRepeats, check_repeats
 from prc_cli.streams.evidence.table import worst_of
+from prc_cli.streams.stream import Stream
 
 MAX_SCANNERS = 4
 """Most scanners whose lines are sampled; the counts include all."""
@@ -50,48 +49,38 @@ class _Scanner:
     cones: ConeSample = field(default_factory=ConeSample)
 
 
-@dataclass(slots=True, repr=False)
-class EvidenceStream(Brief):
-    """A stream that is watched while its blocks pass, unchanged."""
+@dataclass(slots=True)
+class Evidence:
+    """Samples and counts of the blocks of one reading, and the answers of all checks."""
 
-    source: ScanStream
+    stream: ScanStream
+    """The stream before it is watched."""
     accepted: tuple[str, ...] = ()
-    refuses: bool = True
-    most_noise_m: float = math.inf
-    least_rings: int = 0
+    """Checks whose findings the user accepts."""
+    needs: Needs = field(default_factory=lambda: Needs(frozenset()))
+    """Limits of the method."""
     dropped: str = ""
     """The note of a run record on shots that were left out."""
     others: tuple[Finding, ...] = ()
+    """Answers of checks that were done before."""
     is_part: bool = False
     """Whether the stream is only a window of the lines, which may be short."""
     _scanners: dict[int, _Scanner] = field(default_factory=dict, init=False)
     _tally: ReadTally = field(default_factory=ReadTally, init=False)
     _repeats: LineRepeats = field(default_factory=LineRepeats, init=False)
-    _final: tuple[Finding, ...] = field(default=(), init=False)
 
     @property
     def info(self) -> StreamInfo:
-        """Metadata of the stream."""
-        return self.source.info
+        """Metadata of the stream, which may be known better the more of it is read."""
+        return self.stream.info
 
-    def blocks(self) -> Iterator[ScanBlock]:
-        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
-        self._scanners = {}
-        self._tally = ReadTally()
-        self._repeats = LineRepeats()
-        for block in self.source.blocks():
-            if self._see(block) and self.refuses:
-                refuse(self.info.path, self.question(is_whole=False)())
-            yield block
-        self._final = self.question(is_whole=True)()
-        if self.refuses:
-            refuse(self.info.path, self._final)
+    @property
+    def n_full(self) -> int:
+        """How often samples have been full."""
+        return sum(scanner.sample.n_full for scanner in self._scanners.values())
 
-    def _see(self, block: ScanBlock) -> bool:
-        """Add a block.
-
-        Return whether the sample of its scanner became full just now.
-        """
+    def add(self, block: ScanBlock) -> bool:
+        """Add a block; return whether the sample of its scanner became full for the first time."""
         self._tally += block.tally
         self._repeats.add(block)
         scanner = self._scanners.get(block.scanner)
@@ -127,34 +116,18 @@ class EvidenceStream(Brief):
                 tally=self._tally,
                 angle_rad=info.angle_rad if state.angle_rad is None else state.angle_rad,
                 beam_rad=state.beam_rad,
-                most_noise_m=self.most_noise_m,
+                most_noise_m=self.needs.most_noise_m,
                 has_rings=state.has_rings,
-                least_rings=self.least_rings,
+                least_rings=self.needs.least_rings,
                 cone_spread_rad=state.cones.spread_rad(),
             )
             for scanner, state in sorted(self._scanners.items())[:MAX_SCANNERS]
         )
 
-    def findings(self) -> tuple[Finding, ...]:
-        """Return the answers of all checks once the stream was read to its end.
-
-        Before that there are none.
-        """
-        return self._final
-
-    def see(self, block: ScanBlock) -> int:
-        """Add a block that is read elsewhere.
-
-        Return how often samples have been full.
-        """
-        self._see(block)
-        return sum(scanner.sample.n_full for scanner in self._scanners.values())
-
     def question(self, *, is_whole: bool) -> Callable[[], tuple[Finding, ...]]:
         """Return a function that runs all checks so far, in this or another thread."""
-        is_long = (
-            sum(scanner.n_lines for scanner in self._scanners.values()) >= LEAST_LINES
-        )  # short streams are not judged
+        # short streams are not judged
+        is_long = sum(scanner.n_lines for scanner in self._scanners.values()) >= LEAST_LINES
         others = [
             *(self._of_whole() if is_whole else ()),
             *check_thinned(self.dropped),
@@ -202,6 +175,25 @@ def accepted_by(config: InputConfig) -> tuple[str, ...]:
     return (*(config.accept_doubts or ()), *(ORDER_CHECKS if config.order == "trust" else ()))
 
 
+def evidence_of(
+    stream: ScanStream,
+    config: InputConfig,
+    *,
+    needs: Needs | None = None,
+    others: tuple[Finding, ...] = (),
+) -> Callable[[], Evidence]:
+    """Return what starts the checks of a stream; ``needs`` are the limits of the method."""
+    return partial(
+        Evidence,
+        stream,
+        accepted=accepted_by(config),
+        needs=needs or Needs(frozenset()),
+        dropped=stream.info.facts.dropped or dropped_beside(Path(stream.info.path)),
+        others=others,
+        is_part=config.window is not None,
+    )
+
+
 def watched(
     stream: ScanStream,
     config: InputConfig,
@@ -209,66 +201,63 @@ def watched(
     refuses: bool = True,
     needs: Needs | None = None,
     others: tuple[Finding, ...] = (),
-) -> EvidenceStream:
-    """Watch a stream; ``config`` names accepted warnings, ``needs`` the limits of the method."""
-    dropped = stream.info.facts.dropped or dropped_beside(Path(stream.info.path))
-    is_part = config.window is not None
-    needs = needs or Needs(frozenset())
-    return EvidenceStream(
-        stream,
-        accepted_by(config),
-        refuses,
-        needs.most_noise_m,
-        needs.least_rings,
-        dropped,
-        others,
-        is_part,
-    )
+) -> Stream:
+    """Check a stream while its blocks pass, unchanged; the findings are observed at its end.
+
+    Parameters
+    ----------
+    stream : ScanStream
+    config : InputConfig
+        Names accepted warnings.
+    refuses : bool
+        Whether evidence against the input is raised.
+    needs : Needs, optional
+        Limits of the method.
+    others : tuple of Finding
+        Answers of checks that were done before.
+
+    Raises
+    ------
+    EvidenceError
+        While blocks are read, if a check refuses the input.
+    """
+    plain = Stream.of(stream)
+    begin = evidence_of(plain, config, needs=needs, others=others)
+
+    def checked(blocks: Iterator[ScanBlock]) -> Iterator[ScanBlock]:
+        evidence = begin()
+        for block in blocks:
+            is_first_sample = evidence.add(block)
+            if is_first_sample and refuses:
+                refuse(plain.info.path, evidence.question(is_whole=False)())
+            yield block
+        findings = evidence.question(is_whole=True)()
+        plain.observed.findings[:] = findings
+        if refuses:
+            refuse(plain.info.path, findings)
+
+    return plain.through(checked)
 
 
-class LiveEvidence:
-    """A live stream that is checked whenever it is twice as long, and at its end."""
+class LiveFindings:
+    """The worst answer of every check of a live stream so far: a warning is never taken back."""
 
-    def __init__(self, watch: EvidenceStream, report: Callable[[Finding], None]) -> None:
-        self._watch = watch
+    def __init__(
+        self, path: str, accepted: tuple[str, ...], report: Callable[[Finding], None]
+    ) -> None:
+        self._path = path
+        self._accepted = accepted
         self._report = report
         self._reported: set[str] = set()
         self._worst: dict[str, Finding] = {}
 
-    @property
-    def info(self) -> StreamInfo:
-        """Metadata of the stream."""
-        return self._watch.info
-
-    def blocks(self) -> Iterator[ScanBlock]:
-        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
-        n_checked = 0
-        pending: Future[tuple[Finding, ...]] | None = None
-        with ThreadPoolExecutor(1, thread_name_prefix="evidence") as executor:
-            for block in self._watch.source.blocks():
-                if pending is not None and pending.done():
-                    self.hear(pending.result())
-                    pending = None
-                n_full = self._watch.see(block)
-                if n_full > n_checked and pending is None:
-                    n_checked = n_full
-                    pending = executor.submit(self._watch.question(is_whole=False))
-                yield block
-            if pending is not None:
-                self.hear(pending.result())
-        self.hear(self._watch.question(is_whole=True)())
-
-    def findings(self) -> tuple[Finding, ...]:
-        """Return the worst answer of every check so far.
-
-        A warning is never taken back.
-        """
-        return tuple(self._worst.values())
+    def __iter__(self) -> Iterator[Finding]:
+        return iter(self._worst.values())
 
     def hear(self, findings: Iterable[Finding]) -> None:
-        """Add answers, also those of other checks: refuse, keep and report them."""
-        answers = accept(findings, self._watch.accepted)
-        refuse(self.info.path, answers)
+        """Add answers: refuse, keep and report them."""
+        answers = accept(findings, self._accepted)
+        refuse(self._path, answers)
         for finding in answers:
             known = self._worst.get(finding.check)
             if known is None or finding.verdict >= known.verdict:
@@ -277,3 +266,29 @@ class LiveEvidence:
             if doubt.check not in self._reported:
                 self._reported.add(doubt.check)
                 self._report(doubt)
+
+
+def watched_live(
+    stream: ScanStream, begin: Callable[[], Evidence], findings: LiveFindings
+) -> Stream:
+    """Check a live stream whenever it is twice as long, beside its blocks, and at its end."""
+
+    def checked(blocks: Iterator[ScanBlock]) -> Iterator[ScanBlock]:
+        evidence = begin()
+        n_checked = 0
+        pending: Future[tuple[Finding, ...]] | None = None
+        with ThreadPoolExecutor(1, thread_name_prefix="evidence") as executor:
+            for block in blocks:
+                if pending is not None and pending.done():
+                    findings.hear(pending.result())
+                    pending = None
+                evidence.add(block)
+                if evidence.n_full > n_checked and pending is None:
+                    n_checked = evidence.n_full
+                    pending = executor.submit(evidence.question(is_whole=False))
+                yield block
+            if pending is not None:
+                findings.hear(pending.result())
+        findings.hear(evidence.question(is_whole=True)())
+
+    return Stream.of(stream).through(checked)

@@ -15,7 +15,8 @@ from prc_cli.core.errors import ConfigError, InputError, PrcError
 from prc_cli.core.stream import ScanBlock, ScanStream
 from prc_cli.formats.arrays.read import ArrayStream
 from prc_cli.formats.options import InputConfig
-from prc_cli.streams.order import WatchedStream
+from prc_cli.streams.filters import ordered
+from prc_cli.streams.stream import Stream
 
 AUTO = InputConfig()
 
@@ -56,7 +57,7 @@ def save_npz(folder: Path, *, compressed: bool = True, **arrays: Any) -> Path:
 def refused(path: Path, rules: InputConfig = AUTO) -> str:
     """The error of opening and reading, always one line, without the folder."""
     with pytest.raises(PrcError) as caught:
-        whole(WatchedStream(ArrayStream(path, rules), rules.order))
+        whole(ordered(Stream.of(ArrayStream(path, rules)), rules.order))
     message = str(caught.value)
     assert "\n" not in message
     return message.replace(f"{path.parent}/", "")

@@ -14,7 +14,8 @@ from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.bags.numbers import RingNumbers
 from prc_cli.formats.bags.read import BagStream
 from prc_cli.formats.options import InputConfig
-from prc_cli.streams.order import WatchedStream
+from prc_cli.streams.filters import ordered
+from prc_cli.streams.stream import Stream
 from tests.formats.bags import recordings as made
 
 N_LINES = 400
@@ -75,7 +76,7 @@ def record(path: Path, drive: dict[str, np.ndarray], numbers: np.ndarray) -> Pat
 
 def read(path: Path) -> ScanBlock:
     # the order of the times is judged, too
-    return join(list(WatchedStream(BagStream(path, InputConfig()), "require").blocks()))
+    return join(list(ordered(Stream.of(BagStream(path, InputConfig())), "require").blocks()))
 
 
 @pytest.mark.parametrize("n_columns", [1, 2, 6, 25])

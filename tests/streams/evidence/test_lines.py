@@ -16,7 +16,8 @@ from prc_cli.core.errors import EvidenceError
 from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
 from prc_cli.core.stream import ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F32
-from prc_cli.streams.evidence.watch import EvidenceStream
+from prc_cli.formats.options import InputConfig
+from prc_cli.streams.evidence.watch import watched
 from tests.simulated import drive_scan
 
 M = 600
@@ -46,10 +47,10 @@ class Arrays:
 
 
 def asked(ranges: F32, lines: int = 100, tally: ReadTally | None = None) -> dict[str, Finding]:
-    stream = EvidenceStream(Arrays(ranges, lines, tally), refuses=False)
+    stream = watched(Arrays(ranges, lines, tally), InputConfig(), refuses=False)
     for _ in stream.blocks():
         pass
-    return {finding.check: finding for finding in stream.findings()}
+    return {finding.check: finding for finding in stream.observed.findings}
 
 
 def not_fine(ranges: F32, **options: object) -> dict[str, Verdict]:
@@ -193,7 +194,7 @@ def test_the_first_evidence_ends_a_long_stream() -> None:
 
     ranges = rng().permutation(np.tile(scan(), (16, 1)).ravel()).reshape(-1, M)
     with pytest.raises(EvidenceError, match="to accept it: --accept-doubt shot-order"):
-        for _ in EvidenceStream(Long(ranges)).blocks():
+        for _ in watched(Long(ranges), InputConfig()).blocks():
             pass
     assert len(read) < len(ranges) / 100 / 2
 
@@ -207,10 +208,10 @@ def test_of_several_scanners_the_worst_is_told() -> None:
             yield ScanBlock(0, good, scanner=1)
             yield ScanBlock(0, bad, scanner=2)
 
-    stream = EvidenceStream(Both(good), refuses=False)
+    stream = watched(Both(good), InputConfig(), refuses=False)
     for _ in stream.blocks():
         pass
-    findings = {finding.check: finding for finding in stream.findings()}
+    findings = {finding.check: finding for finding in stream.observed.findings}
     assert findings["shot-order"].verdict is Verdict.AGAINST
     assert findings["shot-order"].found.startswith("scanner 2: ")
     assert findings["line-length"].verdict is Verdict.FINE

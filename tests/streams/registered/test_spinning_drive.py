@@ -10,7 +10,7 @@ from prc_cli.core.findings import Verdict
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
-from prc_cli.streams.open import drive_of, open_input
+from prc_cli.streams.open import open_input
 from prc_cli.streams.registered.scanner_paths import scanner_paths
 from prc_cli.streams.registered.spinning_drive import judge_rings, with_returns
 from tests.streams.registered.spinning_clouds import Cloud, spinning_cloud, station
@@ -48,7 +48,7 @@ def test_a_shuffled_cloud_becomes_lines_of_firings_and_columns_of_rings(tmp_path
     assert np.mean(points.ring[place] == column) > 0.999
     assert len(np.unique(line - points.line[place])) == 1
     assert np.nanmedian(np.abs(range_m[line, column] - points.range_m[place])) < 0.005
-    drive = drive_of(stream)
+    drive = stream.drive
     assert drive is not None
     (path,) = scanner_paths(drive)
     assert path.time_s[[0, -1]].tolist() == [
