@@ -8,9 +8,9 @@ from typing import Any
 
 from prc_cli.cli.options import given_words
 from prc_cli.core.files import suffix_of
-from prc_cli.formats import scan_file
+from prc_cli.formats import Input, scan_file
 from prc_cli.formats.labels import KITTI_SUFFIX
-from prc_cli.formats.registry import is_cloud, is_dump, keeps_points
+from prc_cli.formats.registry import is_cloud
 
 
 def typed(path: Path | str) -> str:
@@ -58,8 +58,9 @@ def after_classify(source: Path, output: Path, options: dict[str, Any]) -> list[
     >>> after_classify(Path("drive.v2.npy"), Path("out.v2.csv.gz"), {})[0]
     'draw it: prc render drive.v2.npy out.v2.png --labels out.v2.csv.gz'
     """
+    scan = Input.of(source)
     # a new cloud has other records than its input
-    has_records = not is_cloud(output) or keeps_points(source, output)
+    has_records = not is_cloud(output) or scan.keeps_points(output)
     picture = output.with_name(f"{_stem(output)}.png")
     if any(options.get(name) for name in ("window_lines", "window_time", "window_first")):
         # labels of a part do not fit the whole input, a cloud of a part is complete
@@ -70,6 +71,6 @@ def after_classify(source: Path, output: Path, options: dict[str, Any]) -> list[
         return [f"draw it: {shlex.join(draw)}"]
     draw = [*draw[:4], "--labels", typed(output), *given_words(options, ("--method", "--preset"))]
     reference = source.with_suffix(KITTI_SUFFIX)
-    has_reference = is_dump(source) and reference.is_file()
+    has_reference = scan.is_dump and reference.is_file()
     compare = ["prc", "evaluate", typed(output), str(reference) if has_reference else "REFERENCE"]
     return [f"draw it: {shlex.join(draw)}", f"compare it: {shlex.join(compare)}"]

@@ -167,17 +167,5 @@ def is_cloud(path: Path) -> bool:
     return form is not None and form.keeps_points
 
 
-def keeps_points(source: Path, output: Path) -> bool:
-    """Whether a classified output contains the points of its input."""
-    source_form = format_of(source, "labels")
-    output_form = format_of(output, "labels")
-    return (
-        source_form is not None
-        and output_form is not None
-        and source_form.keeps_points
-        and source_form.write_labels == output_form.write_labels
-    )
-
-
 def _call(name: str, *arguments: Any) -> Any:
     return resolve_name(name)(*arguments)
