@@ -1,10 +1,10 @@
-"""How sure every label is, in per cent, for those who ask for it: nothing here runs otherwise.
+"""How sure every label is, in per cent; runs only if confidence is wanted.
 
-Six questions are asked of a shot, other ones for every label: how far it is from the limits that
+A shot has six measures, different ones for every label: how far it is from the limits that
 decided, how many of the shots around have its label, whether it was seen from near and steeply.
-Each has four answers. The confidence is the share of shots with this label and these answers that
-were right on simulated streets or forests: a table that ``python
--m benchmarks.confidence calibrate`` makes.
+Each measure has four steps. The confidence is the share of right labels among the shots with this
+label and these steps on simulated streets or forests: a table that ``python -m
+benchmarks.confidence calibrate`` makes.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ QUESTIONS: dict[Environment, dict[Label, tuple[str, ...]]] = {
     "urban": STREET_QUESTIONS,
     "forest": FOREST_QUESTIONS,
 }
-"""What is asked of the shots of every label. Labels without questions have no confidence, 0."""
+"""Measures of the shots of every label. Labels without any have no confidence, 0."""
 N_QUESTIONS = 6
 N_CELLS = 4**N_QUESTIONS
 """Sets of answers."""
@@ -89,10 +89,7 @@ TABLE = Path(__file__).with_name("confidence.json")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What the labels of a block were decided by.
-
-    Of its lines alone, but for ``margin`` more before and after.
-    """
+    """Measurements by which the labels of a block were decided."""
 
     neighbours: Neighbours
     above_m: F32
@@ -129,9 +126,9 @@ def cells_of(
         evidence.strips.walls.of_lines(strip_lines),
         plane.beams,
         plane.step_rad,
-        _groups(),
+        _GROUPS,
         _rows(tuple(questions.items())),
-        _steps(),
+        _STEPS,
     )
     return cells
 
@@ -152,9 +149,9 @@ def confidence_of(labels: U8, cells: I32, table: U8) -> U8:
 
 
 def of_further_returns(block: ScanBlock, confidence: U8, limit_m: float) -> U8:
-    """Return the confidence of further returns, (n,) uint8.
+    """Return the confidence of further returns, (n,) uint8: that of the shot whose label they take.
 
-    That of the shot whose label they take, 0 without one.
+    0 if they take none.
     """
     further = block.extra
     return label_extra_returns(
@@ -173,10 +170,6 @@ def of_further_returns(block: ScanBlock, confidence: U8, limit_m: float) -> U8:
 def load_table(environment: Environment) -> U8:
     """Return the confidence of every label and cell, (number of labels, cells) uint8 [per cent]."""
     stored: dict[str, str] = json.loads(TABLE.read_text(encoding="utf-8"))[environment]
-    return _decoded(stored)
-
-
-def _decoded(stored: Mapping[str, str]) -> U8:
     table = np.zeros((len(Label), N_CELLS), np.uint8)
     for name, text in stored.items():
         table[Label[name.upper()]] = np.frombuffer(bytes.fromhex(text), np.uint8)
@@ -193,9 +186,8 @@ def save_tables(tables: Mapping[Environment, U8]) -> None:
     load_table.cache_clear()
 
 
-@cache
-def _groups() -> I64:
-    return np.array([GROUPS.get(label, -1) for label in Label], np.int64)
+_GROUPS = np.array([GROUPS.get(label, -1) for label in Label], np.int64)
+_STEPS = np.array(list(MEASURES.values()), np.float32)
 
 
 @cache
@@ -208,37 +200,28 @@ def _rows(questions: tuple[tuple[Label, tuple[str, ...]], ...]) -> I64:
     return rows
 
 
-@cache
-def _steps() -> F32:
-    return np.array(list(MEASURES.values()), np.float32)
-
-
 UNKNOWN_M = 1e6
 """Heights beyond are those of places where no ground was seen [m]."""
 _LEAST_SHARE = 0.5
-"""Beams nearer to level than 60 degrees tell nothing of the tilt of the plane."""
+"""Beams less than 30 degrees from level do not show the tilt of the plane."""
 
 
 def true_heights(above_m: F32, block: ScanBlock) -> F32:
     """Return heights in metres from heights in the scan plane.
 
+    They are the same if the plane is upright, or its tilt is not known.
+
     ``above_m`` (lines, M) float32; returns (lines, M) float32.
     """
     known = np.where(above_m < np.float32(UNKNOWN_M), above_m, np.float32(np.nan))
-    heights: F32 = (known * np.float32(_cosine_of_tilt(block))).astype(np.float32, copy=False)
+    cosine_of_tilt = 1.0
+    if block.xyz_m is not None and block.beam_rad is not None:
+        down = np.cos(block.beam_rad)
+        steep = np.abs(down) > _LEAST_SHARE
+        in_plane = block.range_m[:, steep].astype(np.float64) * down[steep]
+        ratio = -block.xyz_m[:, steep, 2] / in_plane
+        ratio = ratio[np.isfinite(ratio)]
+        if len(ratio):
+            cosine_of_tilt = min(float(np.median(ratio)), 1.0)
+    heights: F32 = (known * np.float32(cosine_of_tilt)).astype(np.float32, copy=False)
     return heights
-
-
-def _cosine_of_tilt(block: ScanBlock) -> float:
-    """Return height per metre in the scan plane.
-
-    1 where the plane is upright, or its lean is not known.
-    """
-    if block.xyz_m is None or block.beam_rad is None:
-        return 1.0
-    down = np.cos(block.beam_rad)
-    steep = np.abs(down) > _LEAST_SHARE
-    in_plane = block.range_m[:, steep].astype(np.float64) * down[steep]
-    ratio = -block.xyz_m[:, steep, 2] / in_plane
-    ratio = ratio[np.isfinite(ratio)]
-    return min(float(np.median(ratio)), 1.0) if len(ratio) else 1.0

@@ -16,15 +16,14 @@ from prc_cli.methods.fused.plane import ScanPlane
 from prc_cli.methods.fused.thresholds import Limits
 
 REACH_LINES = 12
-"""Lines before and after a line that it is found from whether columns are interlaced.
+"""Lines before and after a line that show whether its columns are interlaced.
 
-Others may begin with the other
-half of the columns."""
+Lines farther away may begin with the other half of the columns."""
 LEAST_SHOTS = 4
-"""Fewest shots that it is found from."""
+"""Fewest shots that show it."""
 HALF = 0.5
 SLACK = 0.15
-"""How much later the other columns are, in lines, and how far single shots may be off that."""
+"""How much later the other columns are, and by how much a shot may differ from that [lines]."""
 STEEP = 4.0
 """A surface must recede by so many tolerances a line to show when it was measured."""
 
@@ -65,7 +64,7 @@ def align_columns(
     with np.errstate(all="ignore"):  # ranges may be anything
         is_even = np.abs((before + after) * half - middle) < np.float32(2.0) * tolerance_m
         recedes_m = (after - before) * half
-    later = _later(_counts(middle, recedes_m, tolerance_m, is_even))
+    later = _later(_count_shots(middle, recedes_m, tolerance_m, is_even))
     if not later.any():
         return range_m
     moved = range_m.copy()
@@ -77,32 +76,33 @@ def align_columns(
     return moved
 
 
-def _counts(
+def _count_shots(
     range_m: F32,
     recedes_m: F32,
     tolerance_m: F32,
     is_even: NDArray[np.bool_],
 ) -> I64:
-    """Count shots by line: column half a line later, earlier, neither, (lines, 3) int64.
+    """Count the shots of every line whose columns are half a line later, earlier, or neither.
 
-    Asked are shots on surfaces that recede by much, evenly and with both columns beside.
+    Only shots count on surfaces that recede by much, evenly and like the columns beside. Returns
+    (lines, 3) int64.
     """
     left = slice(0, -2)
     middle = slice(1, -1)
     right = slice(2, None)
     with np.errstate(all="ignore"):
         is_steep = is_even & (np.abs(recedes_m) > np.float32(STEEP) * tolerance_m)
-        is_asked = is_steep[:, left] & is_steep[:, middle] & is_steep[:, right]
+        is_counted = is_steep[:, left] & is_steep[:, middle] & is_steep[:, right]
         signs = np.sign(recedes_m)
-        is_asked &= (signs[:, left] == signs[:, middle]) & (signs[:, right] == signs[:, middle])
-        is_asked &= np.abs(range_m[:, right] - range_m[:, left]) < np.abs(recedes_m[:, middle])
+        is_counted &= (signs[:, left] == signs[:, middle]) & (signs[:, right] == signs[:, middle])
+        is_counted &= np.abs(range_m[:, right] - range_m[:, left]) < np.abs(recedes_m[:, middle])
         off = range_m[:, middle] - (range_m[:, left] + range_m[:, right]) * np.float32(0.5)
         late = off / recedes_m[:, middle]
     late[:, 1::2] *= np.float32(-1.0)  # of the odd columns against the even ones
-    is_later = is_asked & (np.abs(late - np.float32(HALF)) < np.float32(SLACK))
-    is_earlier = is_asked & (np.abs(late + np.float32(HALF)) < np.float32(SLACK))
+    is_later = is_counted & (np.abs(late - np.float32(HALF)) < np.float32(SLACK))
+    is_earlier = is_counted & (np.abs(late + np.float32(HALF)) < np.float32(SLACK))
     counts = np.stack([is_later.sum(axis=1), is_earlier.sum(axis=1)], axis=1)
-    n_neither = is_asked.sum(axis=1) - counts.sum(axis=1)
+    n_neither = is_counted.sum(axis=1) - counts.sum(axis=1)
     by_line: I64 = np.column_stack([counts, n_neither]).astype(np.int64)
     return by_line
 
@@ -120,6 +120,6 @@ def _later(counts: I64) -> I64:
     last = np.minimum(lines + REACH_LINES + 1, len(counts))
     around = sums[last] - sums[np.maximum(lines - REACH_LINES, 0)]
     others = around.sum(axis=1)[:, None] - around
-    is_so = (around >= LEAST_SHOTS) & (around > 2 * others)
-    later: I64 = is_so[:, 0].astype(np.int64) - is_so[:, 1]
+    is_clear = (around >= LEAST_SHOTS) & (around > 2 * others)
+    later: I64 = is_clear[:, 0].astype(np.int64) - is_clear[:, 1]
     return later

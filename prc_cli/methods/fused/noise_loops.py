@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import Label, Reason
-from prc_cli.core.types import F32, F32_2, I32, U8, U8_2
+from prc_cli.core.types import F32, F32_2, U8, U8_2
 from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.thresholds import AgainThresholds
 
@@ -78,19 +78,6 @@ def _mark_amid_cars(labels: U8, smooth: U8, marks: U8) -> None:
         is_amid = ((a[i] == car) | (b[i] == car)) & ((c[i] == car) | (d[i] == car))
         is_open = (middle[i] != _NOISE) & (middle[i] != _MISSING) & (pairs[i] < SMOOTH)
         inner[i] |= _MIRRORED if is_amid & is_open else np.uint8(0)
-
-
-@helper
-def _list_marked(words: Words, marks: U8, shots: I32) -> int:
-    """List the marked shots of a line, return how many there are; eight marks are one word."""
-    n = 0
-    for w in range(len(words)):
-        if words[w] == np.uint64(0):
-            continue
-        for i in range(8 * w, 8 * w + 8):
-            shots[n] = i
-            n += marks[i] != 0
-    return n
 
 
 @inlined
@@ -206,7 +193,15 @@ def noise_again(
         k = line + LINES
         _mark_questions(voted[line], smooth[k], texture[line], above_m[line], thresholds, marks[:m])
         _mark_amid_cars(labels[line + BESIDE_LINES], smooth[k], marks[:m])
-        for n in range(_list_marked(words, marks, shots)):
+        # eight marks are one word
+        n_shots = 0
+        for w in range(len(words)):
+            if words[w] == np.uint64(0):
+                continue
+            for i in range(8 * w, 8 * w + 8):
+                shots[n_shots] = i
+                n_shots += marks[i] != 0
+        for n in range(n_shots):
             i = int(shots[n])
             if marks[i] & _ALONE and _is_alone(range_m, k, i, thresholds):
                 labels_or_reasons[line, i] = _RANGE_ALONE

@@ -88,12 +88,12 @@ from prc_cli.methods.fused.thresholds import FOREST, NEVER, STREET, Forest, Limi
 from prc_cli.methods.returns import label_extra_returns
 
 FOREST_NOISE_M = 0.035
-"""Range noise that the search for stems stands [m].
+"""Greatest range noise with which stems are found [m].
 
 Scanners in forests have 2 to 3 mm; 30 mm cost .03 of F1.
 """
 OUTSIDE_LINES = SPACED_LINES - BESIDE_THIN_LINES - VOTE_LINES
-"""Outermost lines of the window that no label looks at."""
+"""Outermost lines of the window that no label depends on."""
 FOLLOWING_LINES = SPACED_LINES + LINES
 """Lines after a block that its labels depend on, where cars are found by profiles."""
 MARGIN_LINES = BESIDE_THIN_LINES + VOTE_LINES
@@ -101,14 +101,14 @@ MARGIN_LINES = BESIDE_THIN_LINES + VOTE_LINES
 EXTRA_RETURN_M = 0.3
 """Further returns take the label of a shot around that is this near in range [m]."""
 ROOM_LINES = 4
-"""Whether a place is a room is asked on every fourth line."""
+"""Every fourth line is looked at to see whether a place is a room."""
 MOST_APART = 8
-"""Most lines from one to the next of a stream of close lines.
+"""Most lines from one line of a stream of close lines to the next.
 
-Too few beside the block are known for more.
+For more, too few lines beside the block are known.
 """
 FARTHEST_BESIDE = 4
-"""Greatest distance of neighbours of those lines of such a stream that are beside the block."""
+"""Greatest distance of neighbours, in lines, for the lines of such a stream beside the block."""
 FOREST_LABELS = frozenset(
     {Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM}
 )
@@ -132,7 +132,7 @@ CONFIDENCE_KERNELS = frozenset(
 
 
 class ForestParams(Params):
-    """What is a matter of definition in a forest (``[fused.forest]``)."""
+    """Definitions of the classes in a forest (``[fused.forest]``)."""
 
     stem_top_m: float = Field(
         1000.0,
@@ -263,10 +263,7 @@ class Fused(Classifier[FusedScanner, FusedState]):
 
     @property
     def usual(self) -> UsualLabels:
-        """Little noise, and level ground below the scanner.
-
-        Plants and hills tilt it in forests, streets are wide.
-        """
+        """Little noise, and level ground below the scanner; plants and hills tilt it in forests."""
         common = UsualLabels(0.2, 0.4, ground_share=0.1, below_share=0.2, vanished_share=0.3)
         if self.params.environment == "forest":
             return replace(common, level_share=0.35, lean_deg=12.0)
@@ -274,7 +271,7 @@ class Fused(Classifier[FusedScanner, FusedState]):
 
     @property
     def gives(self) -> frozenset[Label]:
-        """Stems in forests alone; surfaces have no labels of their own."""
+        """Stems only in forests; surfaces have no labels of their own."""
         every = frozenset(Label) - {Label.VERTICAL, Label.HORIZONTAL}
         if self.params.environment == "forest":
             return every & FOREST_LABELS
@@ -296,7 +293,14 @@ class Fused(Classifier[FusedScanner, FusedState]):
         wanted: Wanted,
     ) -> Sequence[LabelledBlock]:
         """Label a block, and its further returns by neighbouring shots of similar range."""
-        _check_shapes(block.range_m, block.next_m, scanner.points_per_line, self.params)
+        check_block(
+            block.range_m,
+            block.next_m,
+            scanner.points_per_line,
+            self.params.lines_per_block,
+            columns=", one column a beam",
+            key="fused.lines_per_block",
+        )
         decided = _classify(block.range_m, block.next_m, scanner, turn, self.params, wanted)
         further = block.extra
         limit_m = EXTRA_RETURN_M
@@ -325,11 +329,9 @@ class Fused(Classifier[FusedScanner, FusedState]):
 
     def limits(self, block: ScanBlock) -> Forest | Limits:
         """Return the limits that a block is labelled by."""
-        return (
-            self.params.forest.limits()
-            if self.params.environment == "forest"
-            else self.scanner(block).limits
-        )
+        if self.params.environment == "forest":
+            return self.params.forest.limits()
+        return self.scanner(block).limits
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
         """Report that this method has no segments."""
@@ -374,19 +376,19 @@ def classify_block(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DecidedBlock:
-    """The labels of a block, and what they were decided by; arrays of its lines alone."""
+    """The labels of a block, and the measurements that decided; arrays are of its lines only."""
 
     labels: U8
     reasons: U8 | None
-    """None unless asked for."""
+    """None unless wanted."""
     above_m: F32
     """Above the ground in the scan plane [m]."""
     noise_m: F64
     """(lines, 1) or (1, 1), range noise [m]; 0 = not known."""
     evidence: Evidence | None
-    """None unless asked for, and in forests."""
+    """None unless wanted, and in forests."""
     marked: Mask
-    """What the walk along the ground went over; in forests what is on a stem."""
+    """Shots that the walk along the ground went over; in forests shots on a stem."""
 
 
 def _classify(
@@ -399,30 +401,33 @@ def _classify(
 ) -> DecidedBlock:
     """Label a block; see :func:`classify_block`."""
     plane = scanner.scan_plane
-    if params.environment == "forest":  # but for the range noise, a block is labelled by itself
-        in_forest_m = turn.hand_on(
+    if params.environment == "forest":
+        # only the range noise depends on earlier blocks
+        forest_noise_m = turn.hand_on(
             NOISE, lambda known: _measure_forest_noise(range_m, known, params.sensor)
         )
-        woods = forest(range_m, scanner.plane, in_forest_m, params.forest.limits())
-        labels = woods.reasons & np.uint8(LABEL_BITS)
-        noise = np.full((1, 1), in_forest_m)
-        return DecidedBlock(labels, woods.reasons, woods.above_m, noise, None, woods.on_stem)
-    limits = scanner.limits
+        woods = forest(range_m, scanner.plane, forest_noise_m, params.forest.limits())
+        return DecidedBlock(
+            labels=woods.reasons & np.uint8(LABEL_BITS),
+            reasons=woods.reasons,
+            above_m=woods.above_m,
+            noise_m=np.full((1, 1), forest_noise_m),
+            evidence=None,
+            marked=woods.on_stem,
+        )
     n_lines = len(range_m)
-    ahead = lines_ahead(plane, limits)
     # a copy, so that the block is not kept in memory
     tail = turn.hand_on(
         TAIL,
         lambda old: (old, np.concatenate([old, range_m[-SPACED_LINES:]])[-SPACED_LINES:].copy()),
     )
-    wide = window_of(tail, range_m, next_m, ahead)
+    measured = window_of(tail, range_m, next_m, lines_ahead(plane, scanner.limits))
     line = turn.hand_on(LINE, lambda first: (first, first + n_lines))
     noise_m = turn.hand_on(
-        NOISE_ALONG, lambda known: _measure_noise(wide, line, plane, known, params.sensor)
+        NOISE_ALONG, lambda known: _measure_noise(measured, line, plane, known, params.sensor)
     )
-    limits_here = limits_of_place(limits, wide, plane)
-    wide = align_columns(wide, plane, noise_m, limits)
-    limits = limits_here
+    limits = limits_of_place(scanner.limits, measured, plane)
+    wide = align_columns(measured, plane, noise_m, scanner.limits)
     strides = _strides(wide, line, n_lines, plane, noise_m, turn, limits)
     apart = lines_apart(strides)
     streams = streams_of(wide, strides, plane, noise_m, limits)
@@ -457,14 +462,13 @@ def _classify(
                 labels == before[:n_lines], reasons[:n_lines], np.uint8(Reason.PROFILE)
             )
     lines = slice(grounds.margin, grounds.margin + n_lines)
-    noise_of_block_m = noise_m[SPACED_LINES : SPACED_LINES + n_lines, None]
     return DecidedBlock(
-        labels,
-        reasons,
-        grounds.above_m[lines],
-        noise_of_block_m,
-        evidence,
-        grounds.walked[lines],
+        labels=labels,
+        reasons=reasons,
+        above_m=grounds.above_m[lines],
+        noise_m=noise_m[SPACED_LINES : SPACED_LINES + n_lines, None],
+        evidence=evidence,
+        marked=grounds.walked[lines],
     )
 
 
@@ -492,7 +496,7 @@ def measures_of(decided: DecidedBlock, shape: tuple[int, ...]) -> dict[str, AnyA
 
 
 def _forest_evidence(range_m: F32, decided: DecidedBlock, scanner: FusedScanner) -> Evidence:
-    """Look at a block of forest as at a street; lines beyond it are not known."""
+    """Measure a block of forest as if it were a street, without the lines around it."""
     plane = scanner.scan_plane
     limits = scanner.limits
     beyond = ((AROUND_LINES, AROUND_LINES), (0, 0))
@@ -518,12 +522,11 @@ class Stream:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockGround(Ground):
-    """The ground of the lines of a block, and perhaps of lines around, as many before as after."""
+    """The ground of the lines of a block, and of ``margin`` lines before and after it."""
 
     parts: tuple[Ground, ...]
-    """That of the lines of every stream."""
+    """The ground of the lines of every stream."""
     margin: int
-    """Lines before the block."""
 
 
 def lines_apart(strides: I64) -> I64:
@@ -536,10 +539,7 @@ def lines_apart(strides: I64) -> I64:
 
 
 def lines_ahead(plane: ScanPlane, limits: Limits) -> int:
-    """Return how many lines after a block are labelled with it.
-
-    Those by which a car in its last line is found.
-    """
+    """Return how many lines after a block are labelled with it, to find a car in its last line."""
     return LINES if has_car_profiles(plane, limits) else 0
 
 
@@ -550,12 +550,10 @@ def streams_of(
     noise_m: F64,
     limits: Limits,
 ) -> list[Stream]:
-    """Look at the lines of a block.
+    """Split the lines of a block into streams of lines that are far enough apart.
 
-    Where they lie close together, as if lines between them had not been scanned.
-
-    Every 2nd, 4th or 8th line is then a stream of its own, in which things are as many lines wide
-    as they usually are. Where the platform stands all lines are looked at.
+    If lines are close together, every 2nd, 4th or 8th line is a stream of its own, in which things
+    are as many lines wide as usual. If the platform stands still, all lines are one stream.
 
     ``wide`` (lines + 2 SPACED_LINES, M) float32; ``strides`` (lines + 6,) int64; ``noise_m`` (lines
     + 2 SPACED_LINES,) float64.
@@ -588,10 +586,7 @@ def _follow_streams(
     memory: GroundMemory,
     limits: Limits,
 ) -> tuple[BlockGround, GroundMemory]:
-    """Follow the ground of every stream from the same memory on.
-
-    Return it, and the memory for the next block.
-    """
+    """Follow the ground of every stream, each from the memory of the block before."""
     last = int(apart[n_lines - 1])
     after = memory
     grounds = []
@@ -615,9 +610,9 @@ def _follow_streams(
 
 
 def _rows_of_stream(first: int, every: int, n_lines: int) -> I64:
-    """Return the rows of a stream in the wide window, with more before and after.
+    """Return the rows of a stream in the wide window, with :data:`MARGIN_LINES` before and after.
 
-    Of those beyond it the outermost.
+    Rows beyond the window are replaced by the outermost ones of the stream.
 
     >>> _rows_of_stream(1, 2, 4)[[0, MARGIN_LINES, MARGIN_LINES + 1]].tolist()
     [0, 36, 38]
@@ -635,10 +630,10 @@ def _widen_window(
     noise_m: F64,
     every: int,
 ) -> tuple[F32, I64, F64]:
-    """Return the wide window with more lines around, their distances and their noise.
+    """Return the window for a stream of every n-th line, with its strides and its range noise.
 
-    Lines beside the block have the distance of its outermost ones, as far as their neighbours are
-    known.
+    It has more lines around. Lines beside the block have the strides of its outermost lines, but
+    not more than :data:`FARTHEST_BESIDE`.
     """
     more = BESIDE_LINES * (every - 1)
     around = SPACED_LINES - BESIDE_LINES - more
@@ -653,7 +648,7 @@ def _widen_window(
 
 
 def _merge_lines(arrays: Sequence[AnyArray], streams: Sequence[Stream], apart: I64) -> AnyArray:
-    """Put together a block from streams of every n-th line, ``apart`` (lines,) int64."""
+    """Put the lines of a block together: each from the stream whose distance ``apart`` gives."""
     if len(streams) == 1 and streams[0].every == 1:
         return arrays[0]
     merged = np.empty((len(apart), *arrays[0].shape[1:]), arrays[0].dtype)
@@ -671,10 +666,7 @@ def _merge_evidence(
     streams: Sequence[Stream],
     apart: I64,
 ) -> Evidence:
-    """Put the evidence of a block together from that of its streams.
-
-    Lines beside the block are left empty.
-    """
+    """Put the evidence of a block together; lines beside the block are left empty."""
     if len(streams) == 1 and streams[0].every == 1:
         return evidences[0]
 
@@ -703,9 +695,9 @@ def _merge_evidence(
 
 
 def limits_of_place(limits: Limits, wide: F32, plane: ScanPlane) -> Limits:
-    """Return the limits for the place of a block, given with the lines around.
+    """Return the limits for the place of a block: no cars in rooms, no curbs below a ceiling.
 
-    No cars in rooms, no curbs indoors.
+    ``wide`` (lines, M) float32, metres, the block with the lines around it.
     """
     every_fourth = wide[::ROOM_LINES]
     limits = in_room(limits) if is_room(every_fourth, limits) else limits
@@ -727,13 +719,15 @@ def _measure_noise(
 def _measure_forest_noise(range_m: F32, known: Noise, params: SensorParams) -> tuple[float, Noise]:
     """Measure the range noise in a forest [m], 0 until it is known.
 
-    It is rounded to half octaves, so that labels hardly depend on which blocks it was measured in.
+    It is rounded to half octaves, so that labels hardly depend on the blocks that show it.
     """
     noise = known.after(forest_noise(range_m) if known.is_asked(params) else None)
     if params.range_noise_m != "auto":
         return noise.noise_m(params), noise
-    is_known = math.isfinite(noise.least_m) and noise.least_m > 0
-    return 2.0 ** (round(2.0 * math.log2(noise.least_m)) / 2.0) if is_known else 0.0, noise
+    rounded_m = 0.0
+    if math.isfinite(noise.least_m) and noise.least_m > 0:
+        rounded_m = 2.0 ** (round(2.0 * math.log2(noise.least_m)) / 2.0)
+    return rounded_m, noise
 
 
 def _strides(
@@ -745,7 +739,7 @@ def _strides(
     turn: Turn,
     limits: Limits,
 ) -> I64:
-    """Decide how many lines away neighbours are, also for three lines before and after.
+    """Decide how many lines away neighbours are, also for three lines before and after the block.
 
     ``line`` is the number of the block's first line.
     """
@@ -803,10 +797,7 @@ def _decide(
     *,
     with_reasons: bool,
 ) -> tuple[U8, U8]:
-    """Label every shot of a stream.
-
-    Return the labels and, where they are asked for, the reasons.
-    """
+    """Return the label and the reason of every shot of a stream; no reasons unless wanted."""
     bits = np.uint8(LABEL_BITS)
     range_m = stream.neighbourhoods.range_m
     neighbours = stream.neighbourhoods.neighbours
@@ -840,9 +831,9 @@ def _with_cars(
     plane: ScanPlane,
     limits: Limits,
 ) -> U8:
-    """Label cars in a block by its lines and those around.
+    """Label the cars of a block that profiles of single lines show.
 
-    ``labels`` and ``range_m`` are of lines after it as well.
+    ``labels`` and ``range_m`` are also of the lines after it.
     """
     above_m = ground.above_m[ground.margin : ground.margin + len(labels)]
     texture = evidence.texture[1 : 1 + len(labels)]
@@ -868,19 +859,6 @@ def window_of(
     return np.concatenate([tail, range_m, following])
 
 
-def _check_shapes(
-    range_m: F32,
-    next_m: F32 | None,
-    width: int,
-    params: FusedParams,
-) -> None:
-    """Refuse arrays that cannot be the next block of the stream."""
-    key = "fused.lines_per_block"
-    check_block(
-        range_m, next_m, width, params.lines_per_block, columns=", one column a beam", key=key
-    )
-
-
 def label_further_returns(
     range_m: F32,
     labels: U8,
@@ -889,9 +867,9 @@ def label_further_returns(
     range_m_extra: F32,
     limit_m: float,
 ) -> U8:
-    """Label the returns of a shot other than its main one.
+    """Label the further returns of the shots.
 
-    Light that passes a leaf meets other leaves, which may be isolated; such returns are vegetation,
+    Light that passes a leaf meets other leaves, which may be isolated. Such returns are vegetation,
     not noise.
 
     Returns (n,) uint8.

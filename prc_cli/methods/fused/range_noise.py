@@ -22,13 +22,14 @@ NORMAL_QUARTILE = 0.6745
 MIDDLE_OF_THREE = 1.5
 """Variance of a range minus the mean of its neighbours, in variances of one range."""
 PART_LINES = 32
-"""Lines by which the noise at the begin of a stream is measured.
+"""Lines of a part, by which the noise at the start of a stream is measured.
 
 Not more than are known after a block.
 """
 PIECE_PARTS = 4
+"""Parts of a later measurement."""
 FIRST_PARTS = 12
-"""Lines of a later measurement, and after how many it becomes ever rarer."""
+"""Parts after which measurements become ever rarer."""
 EVERY_LINE = 4
 MANY_COLUMNS = 256
 """With so many columns and more, every fourth line is enough."""
@@ -39,9 +40,9 @@ RUN_SHOTS = 9
 SMOOTHEST = 0.1
 """This share of the runs lies on stems and bare ground in every forest."""
 OF_SMOOTHEST = 1.4
-"""Range noise, in what the smoothest tenth of the runs shows.
+"""Range noise in units of what the smoothest tenth of the runs shows.
 
-It is the tenth that has the least by chance as well.
+That tenth is smooth partly by chance, so it shows less than the noise.
 """
 SECOND_DIFFERENCE = 6.0
 """Variance of a second difference, in variances of one range."""
@@ -106,8 +107,9 @@ class Noise:
 class NoiseAlong:
     """Range noise along a stream, measured at the same lines however the stream is cut.
 
-    The smallest measurement counts, as with :class:`Noise`; the first piece tells something before
-    it is whole.
+    A piece is :data:`PIECE_PARTS` parts; a measurement is made of the piece that ends with a part.
+    The smallest measurement counts, as with :class:`Noise`, but the first ones, of less than a
+    piece, are replaced.
     """
 
     parts: int = 0
@@ -124,7 +126,7 @@ class NoiseAlong:
         plane: ScanPlane,
         params: SensorParams,
     ) -> NoiseAlong:
-        """Add the parts of the stream that end in some lines and were not added before.
+        """Add the parts that end within some lines of the stream, from ``first_line`` on.
 
         ``following_m`` (lines, M) float32, metres.
         """
@@ -135,25 +137,23 @@ class NoiseAlong:
         return known
 
     def _with_part(self, part_m: F32, plane: ScanPlane, params: SensorParams) -> NoiseAlong:
-        """Add a part; where it is asked, measure the piece that ends with it."""
+        """Add a part, and measure the piece that ends with it if it is time for that."""
         parts = self.parts + 1
-        if not any(self._is_asked(parts + k, params) for k in range(PIECE_PARTS)):
+        if not any(self._is_measured(parts + k, params) for k in range(PIECE_PARTS)):
             return NoiseAlong(parts, (), self.steps)
         every = EVERY_LINE if part_m.shape[1] >= MANY_COLUMNS else 1
-        off = (*self.off_m, off_lines(*points_of(np.ascontiguousarray(part_m[::every]), plane)))[
-            -PIECE_PARTS:
-        ]
-        measured = range_noise(np.concatenate(off)) if self._is_asked(parts, params) else None
-        least = self.steps[-1][1] if self.steps and parts > PIECE_PARTS else math.inf
-        if measured is None or measured >= least:
-            return NoiseAlong(parts, off, self.steps)
-        return NoiseAlong(parts, off, (*self.steps, (parts, measured)))
+        side_m, height_m = points_of(np.ascontiguousarray(part_m[::every]), plane)
+        off_m = (*self.off_m, off_lines(side_m, height_m))[-PIECE_PARTS:]
+        if not self._is_measured(parts, params):
+            return NoiseAlong(parts, off_m, self.steps)
+        noise_m = range_noise(np.concatenate(off_m))
+        least_m = self.steps[-1][1] if self.steps and parts > PIECE_PARTS else math.inf
+        if noise_m is None or noise_m >= least_m:
+            return NoiseAlong(parts, off_m, self.steps)
+        return NoiseAlong(parts, off_m, (*self.steps, (parts, noise_m)))
 
-    def _is_asked(self, parts: int, params: SensorParams) -> bool:
-        """Return whether the piece that ends after so many parts is measured.
-
-        All at first, then ever fewer.
-        """
+    def _is_measured(self, parts: int, params: SensorParams) -> bool:
+        """Whether the noise is measured after so many parts: at first always, then ever rarer."""
         if params.range_noise_m != "auto":
             return False
         piece, rest = divmod(parts, PIECE_PARTS)
@@ -161,13 +161,12 @@ class NoiseAlong:
         return not self.steps or parts <= FIRST_PARTS or is_seldom
 
     def of_lines(self, first_line: int, n_lines: int, params: SensorParams) -> F64:
-        """Return what is known of the noise at every line.
+        """Return the range noise at every line, as the parts before the line's part show it.
 
-        From the parts before its own, and the first one.
+        In the first part, as that part shows it. So the noise at a line is the same whether it is
+        in a block or after one.
 
-        Lines after a block, and blocks after it, know the same then.
-
-        Returns (n_lines,) float64.
+        Returns (n_lines,) float64, metres.
         """
         if params.range_noise_m != "auto":
             return np.full(n_lines, float(params.range_noise_m))
@@ -214,19 +213,13 @@ def range_noise(off_m: F32) -> float | None:
     """
     if len(off_m) < LEAST_TRIPLES:
         return None
-    return _middle(off_m.copy()) / (NORMAL_QUARTILE * math.sqrt(MIDDLE_OF_THREE))
-
-
-def _middle(values: F32) -> float:
-    """Return the median of finite values.
-
-    Reorders them in place; three times as fast as np.median.
-    """
-    half = len(values) // 2
-    values.partition(half)
-    if len(values) % 2:
-        return float(values[half])
-    return float(np.mean(np.array([values[:half].max(), values[half]])))
+    # three times as fast as np.median
+    half = len(off_m) // 2
+    halves = np.partition(off_m, half)
+    median_m = float(halves[half])
+    if len(halves) % 2 == 0:
+        median_m = float(np.mean(np.array([halves[:half].max(), halves[half]])))
+    return median_m / (NORMAL_QUARTILE * math.sqrt(MIDDLE_OF_THREE))
 
 
 @stage("range noise")

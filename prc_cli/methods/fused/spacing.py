@@ -1,10 +1,10 @@
-"""Distance of scan lines: neighbours in other lines lie so far away that they see other leaves.
+"""Distance of scan lines: neighbours in other lines must be so far away that they see other leaves.
 
-Where a scanner moves slowly, the next line meets the same leaves again, and a crown looks as smooth
-as a wall across the lines. How far apart lines lie is not known from ranges, but this is: how often
-a line so many lines back is as far at shots whose neighbours in the line are near and on no common
-surface. Leaves apart by more than their size agree by chance alone. Where even the farthest line
-agrees, the platform stands, and only the line itself tells anything.
+If a scanner moves slowly, the next line meets the same leaves again, and a crown looks as smooth as
+a wall across the lines. Ranges do not show how far apart lines are, but they show how often a line
+n lines back has the same range at a leaf: a shot whose neighbours in the line are near and on no
+common surface. Leaves that are apart by more than their size agree only by chance. If even the
+farthest line agrees, the platform stands still, and other lines show nothing new.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ MOST_LAG = LAGS[-1]
 EVERY_LINE = 4
 """Every fourth line of the stream is compared."""
 AHEAD_LINES = 16
-"""Lines after a line that its distance is decided with."""
+"""Lines after a line that decide its distance."""
 BESIDE_LINES = 3
-"""Lines before and after a block whose distance is asked for as well."""
+"""Lines before and after a block whose distance is needed as well."""
 COUNTED_LINES = AHEAD_LINES - BESIDE_LINES
 """Lines of a block that were counted with the blocks before."""
 PAIR_LINES = 2
@@ -40,20 +40,19 @@ PAIR_LINES = 2
 SPACED_LINES = PAIR_LINES * MOST_LAG + BESIDE_LINES
 """Lines before and after a block that its labels depend on."""
 STANDS = 0
-"""Instead of a number of lines: other lines tell nothing."""
+"""Instead of a number of lines: the platform stands still, and other lines show nothing new."""
 IN_LINE_PAIRS = np.array([0, 2, 3, 5, 7, 8, 10], np.uint8)
-"""Of 10 pairs, what the 6 pairs in the line stand for where the platform stands."""
+"""Smooth pairs, of 10, that replace those of the 6 pairs in the line if the platform stands."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spacing:
-    """What was seen of the distance of lines so far."""
+    """Distance of the lines so far, and the leaves that show it."""
 
     sums: F64
     """(6, 2) float64, leaves compared and leaves seen again, at each of :data:`LAGS` and beside.
 
-    Earlier ones count
-    less."""
+    Earlier ones count less."""
     stride: int
     """Lines from neighbour to neighbour, :data:`STANDS` = none."""
 
@@ -75,7 +74,7 @@ def count_repeated_leaves(
     ``window_m`` (lines + 2 SPACED_LINES, M) float32, metres; ``noise_m`` (lines + 2 SPACED_LINES,)
     float64; returns (n, 6, 2) int32.
     """
-    begin = _begin(first_line)
+    begin = _first_uncounted(first_line)
     end = len(window_m) - SPACED_LINES + BESIDE_LINES + AHEAD_LINES
     first = SPACED_LINES + begin
     counts = [
@@ -107,35 +106,33 @@ def strides_of(
     limits: Spaced,
     ahead: int = 0,
 ) -> tuple[I64, Spacing]:
-    """Decide how many lines away the neighbours of every line are.
+    """Decide how many lines away the neighbours of every line are; also return the state after.
 
     ``counts`` (n, 6, 2) int32; returns ``strides`` (lines + ahead + 6,) int64.
     """
     sums = known.sums
     stride = known.stride
     strides = np.full(n_lines + ahead + 2 * BESIDE_LINES, stride, np.int64)
-    begin = _begin(first_line)
-    after = known
-    is_after = False
-    # the distance changes at lines that were compared only
+    begin = _first_uncounted(first_line)
+    state_after: Spacing | None = None
+    # the distance changes only at lines that were compared
     for k in range(-(first_line + begin) % EVERY_LINE, len(counts), EVERY_LINE):
         line = begin + k
-        if line >= n_lines + COUNTED_LINES and not is_after:
-            after = Spacing(sums, stride)
-            is_after = True
+        if line >= n_lines + COUNTED_LINES and state_after is None:
+            state_after = Spacing(sums, stride)
         sums = sums * limits.decay + counts[k]
         stride = _stride(sums, stride, limits)
         strides[max(line - COUNTED_LINES, 0) :] = stride
-    return strides, after if is_after else Spacing(sums, stride)
+    return strides, state_after or Spacing(sums, stride)
 
 
-def _begin(first_line: int) -> int:
-    """Return the first line of a block that earlier blocks did not count."""
+def _first_uncounted(first_line: int) -> int:
+    """Return the first line of a block in which no earlier block counted leaves."""
     return COUNTED_LINES if first_line > 0 else 0
 
 
 def _stride(sums: F64, now: int, limits: Spaced) -> int:
-    """Return the least distance at which few enough leaves are seen again."""
+    """Return the least distance at which few enough leaves are seen again; ``now`` if unclear."""
     counts = sums.tolist()
     if not counts[0][0] >= limits.least:
         return now
@@ -176,7 +173,7 @@ def _spaced_pairs(
     noise_m: float,
     limits: Smoothness,
 ) -> U8:
-    """Count smooth pairs as :func:`spaced_pairs`, of lines with the same range noise [m]."""
+    """Count smooth pairs as :func:`spaced_pairs` does, in lines with the same range noise [m]."""
     margin = PAIR_LINES * MOST_LAG
     n_lines = len(strides)
     m = window_m.shape[1]

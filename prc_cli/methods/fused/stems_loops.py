@@ -94,28 +94,6 @@ def _low_shots(
     return n_shots
 
 
-@helper
-def _keep_lowest(
-    shots: I32,
-    bins: I32,
-    heights: F64,
-    lowest: F64,
-    second: F64,
-    third: F64,
-) -> None:
-    """Update the three lowest heights of every bin by the shots of a line."""
-    for k in range(len(shots)):
-        column = np.uint64(shots[k])
-        b = np.uint64(bins[column])
-        z = heights[column]
-        if z < third[b]:
-            low = lowest[b]
-            middle = second[b]
-            lowest[b] = min(z, low)
-            second[b] = min(max(z, low), middle)
-            third[b] = max(z, middle)
-
-
 @kernel()
 def ground_profiles(
     range_m: F32_2,
@@ -157,7 +135,16 @@ def ground_profiles(
                 heights,
                 shots,
             )
-            _keep_lowest(shots[:n_shots], bins, heights, lowest, second, third)
+            for k in range(n_shots):
+                shot = np.uint64(shots[k])
+                place = np.uint64(bins[shot])
+                z = heights[shot]
+                if z < third[place]:
+                    low = lowest[place]
+                    middle = second[place]
+                    lowest[place] = min(z, low)
+                    second[place] = min(max(z, low), middle)
+                    third[place] = max(z, middle)
         profile = profiles[group]
         for b in range(n_bins):
             profile[b] = third[b]

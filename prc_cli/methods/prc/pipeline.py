@@ -186,7 +186,18 @@ class Prc(Classifier[int, PrcState]):
         wanted: Wanted,
     ) -> Sequence[LabelledBlock]:
         """Label a block, and its further returns by the support thresholds."""
-        _check_shapes(block.range_m, block.next_m, scanner, self.params)
+        key = "prc.lines_per_block"
+        check_block(
+            block.range_m,
+            block.next_m,
+            scanner,
+            self.params.lines_per_block,
+            columns=" as the stream began",
+            key=key,
+        )
+        if block.range_m.size >= 2**31:
+            problem = f"found {block.n_lines} x {scanner} shots, expected fewer than 2^31"
+            raise InputError(WHERE, problem, f"lower {key}")
         trace = classify_block(
             block.range_m,
             block.next_m,
@@ -366,19 +377,3 @@ def draw(
     if params.environment == "forest":
         return forest(seen.window, v, params.forest)
     return urban(seen.window, v, ground)
-
-
-def _check_shapes(
-    range_m: F32,
-    next_m: F32 | None,
-    width: int,
-    params: PrcParams,
-) -> None:
-
-    key = "prc.lines_per_block"
-    check_block(
-        range_m, next_m, width, params.lines_per_block, columns=" as the stream began", key=key
-    )
-    if range_m.size >= 2**31:
-        problem = f"found {len(range_m)} x {width} shots, expected fewer than 2^31"
-        raise InputError(WHERE, problem, f"lower {key}")

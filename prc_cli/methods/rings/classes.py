@@ -1,4 +1,4 @@
-"""The label of every shot: ground by its height, everything else by its column of space."""
+"""The label of every shot: ground by its height, everything else by its cell, a column of space."""
 
 from __future__ import annotations
 
@@ -22,12 +22,13 @@ from prc_cli.methods.rings.thresholds import (
 
 UNIFORM = 12.0**0.5
 """Length of an evenly spread body, in its standard deviations."""
-FEWEST_LIGHTS = 16
-MOST_ALIKE = 0.9
+FEWEST_INTENSITIES = 16
+MOST_EQUAL = 0.9
 """Intensities with fewer values, or with a larger share of equal ones, are not used."""
 SMOOTH = 1
+"""Bit of a mark, as in :mod:`cells_loops`."""
 N_LEVELS = 63
-"""As in :mod:`cells_loops`."""
+"""More than the levels of height that :mod:`cells_loops` counts."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +40,7 @@ class Cells:
     of_shot: I32
     """(lines, M) int32, the same of every shot."""
     where: I32
-    """(cells, 2) int32, place in the grid."""
+    """(cells, 2) int32, place of a cell in the grid."""
     sums: F64
     """(cells, 9) float64, shots, their places and marks."""
     levels: I64
@@ -91,9 +92,10 @@ def is_varied(intensity: F32) -> bool:
     known = np.sort(intensity[np.isfinite(intensity)])
     if not len(known) or not known[-1] > 0.0:
         return False
-    begins = np.flatnonzero(np.diff(known, prepend=known[0] - 1.0))
-    most = int(np.diff(begins, append=len(known)).max())
-    return len(begins) >= min(FEWEST_LIGHTS, len(known) // 2) and most < MOST_ALIKE * len(known)
+    first_of_value = np.flatnonzero(np.diff(known, prepend=known[0] - 1.0))
+    n_values = len(first_of_value)
+    most = int(np.diff(first_of_value, append=len(known)).max())
+    return n_values >= min(FEWEST_INTENSITIES, len(known) // 2) and most < MOST_EQUAL * len(known)
 
 
 @stage("mirror")
@@ -104,25 +106,24 @@ def sunken_shots(polar: Polar, above_m: F32, limits: SunkenThresholds) -> Mask:
         below: Mask = above_m < -limits.below_m - limits.below_per_m * far_m
     if not below.any():
         return below
-    n_below, n_known = (
-        _around(mask.astype(np.int16), limits) for mask in (below, np.isfinite(above_m))
-    )
+    n_below = _sum_around(below.astype(np.int16), limits)
+    n_known = _sum_around(np.isfinite(above_m).astype(np.int16), limits)
     sunken: Mask = below & (n_below < limits.most * n_known)
     return sunken
 
 
-def _around(values: NDArray[np.int16], limits: SunkenThresholds) -> NDArray[np.int16]:
-    """Return the sums over the shots around every shot, including itself."""
-    total = values
+def _sum_around(values: NDArray[np.int16], limits: SunkenThresholds) -> NDArray[np.int16]:
+    """Return the sums over the window around every shot."""
+    sums = values
     for axis, reach in ((0, limits.lines), (1, limits.rings)):
         padding = [(0, 0), (0, 0)]
         padding[axis] = (reach + 1, reach)
-        run = np.cumsum(np.pad(total, padding), axis=axis, dtype=np.int64)
-        n = total.shape[axis]
-        upper = np.arange(n) + 2 * reach + 1
-        lower = np.arange(n)
-        total = (np.take(run, upper, axis=axis) - np.take(run, lower, axis=axis)).astype(np.int16)
-    return total
+        sums_before = np.cumsum(np.pad(sums, padding), axis=axis, dtype=np.int64)
+        first = np.arange(sums.shape[axis])
+        end = first + 2 * reach + 1
+        in_window = np.take(sums_before, end, axis=axis) - np.take(sums_before, first, axis=axis)
+        sums = in_window.astype(np.int16)
+    return sums
 
 
 @stage("cells")
@@ -151,7 +152,12 @@ def label_cells(cells: Cells, sight_m: F64, limits: Limits) -> U8:
     rules = np.where(is_foliage(cells, limits), Reason.ROUGH_PLACE, Reason.THIN_SMOOTH).astype(
         np.uint8
     )
-    rules[_is_pole(cells, limits)] = Reason.THIN_PLACE
+    long_m = cells.measures[:, 1]
+    top = cells.measures[:, 5] * limits.cells.storey_m
+    around = cells.measures[:, 6]
+    poles = limits.poles
+    is_thin: Mask = (long_m < poles.thin_m) & (top >= poles.least_m) & (around <= poles.around)
+    rules[is_thin & (cells.sums[:, 0] >= poles.shots)] = Reason.THIN_PLACE
     large = Bodies.of(cells, limits.lorries.body_m, sight_m, limits.cells)
     small = Bodies.of(cells, limits.cars.body_m, sight_m, limits.cells)
     rules[large.are(limits.lorries, limits.cells.storey_m)] = Reason.LARGE_BOX
@@ -162,6 +168,7 @@ def label_cells(cells: Cells, sight_m: F64, limits: Limits) -> U8:
 
 def is_foliage(cells: Cells, limits: Limits) -> Mask:
     """Return which cells contain foliage rather than walls, (cells,) bool."""
+    # thickness [m], length [m], upright and smooth share, levels with shots and the highest one
     thick, _, upright, smooth, n_levels, top, _, _ = cells.measures.T
     weights = limits.leaves
     score = (
@@ -177,16 +184,6 @@ def is_foliage(cells: Cells, limits: Limits) -> Mask:
         kernels.mean_around(cells.grid, cells.where, surest, np.sqrt(cells.sums[:, 0])) > 0
     )
     return foliage
-
-
-def _is_pole(cells: Cells, limits: Limits) -> Mask:
-
-    long_m = cells.measures[:, 1]
-    top = cells.measures[:, 5] * limits.cells.storey_m
-    around = cells.measures[:, 6]
-    poles = limits.poles
-    is_thin: Mask = (long_m < poles.thin_m) & (top >= poles.least_m) & (around <= poles.around)
-    return is_thin & (cells.sums[:, 0] >= poles.shots)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,34 +230,32 @@ class Bodies:
         yy = sums[:, 5] / n - y * y
         half = 0.5 * (xx + yy)
         away = np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
-        length, width = (
-            UNIFORM * np.sqrt(np.maximum(half + sign * away, 0.0)) for sign in (1.0, -1.0)
-        )
         bin_of_cell = of_cell * N_LEVELS + levels[is_low]
-        counts = np.bincount(bin_of_cell, cells.sums[is_low, 0], n_bodies * N_LEVELS).reshape(
-            -1, N_LEVELS
-        )
+        counts = np.bincount(bin_of_cell, cells.sums[is_low, 0], n_bodies * N_LEVELS)
         sight = np.full(n_bodies, np.inf)
         np.minimum.at(sight, of_cell, sight_m[is_low])
-        smooth = sums[:, 6] / np.maximum(sums[:, 7], 1.0)
-        upright = sums[:, 8] / n
         return cls(
-            is_low, of_cell, n, length, width, smooth, upright, np.cumsum(counts, axis=1), sight
+            is_low=is_low,
+            of_cell=of_cell,
+            shots=n,
+            length_m=UNIFORM * np.sqrt(np.maximum(half + away, 0.0)),
+            width_m=UNIFORM * np.sqrt(np.maximum(half - away, 0.0)),
+            smooth=sums[:, 6] / np.maximum(sums[:, 7], 1.0),
+            upright=sums[:, 8] / n,
+            counts=np.cumsum(counts.reshape(-1, N_LEVELS), axis=1),
+            sight_m=sight,
         )
 
     def are(self, box: BoxThresholds, storey_m: float) -> Mask:
         """Return which cells are part of a body of a vehicle's size with a visible top."""
         top = np.argmax(self.counts >= box.most_share * self.shots[:, None], axis=1) * storey_m
         is_box = (self.shots >= box.shots) & (self.sight_m - top >= box.seen_m)
-        for value, least, most in (
-            (top, box.least_top_m, box.most_top_m),
-            (self.length_m, box.least_m, box.most_m),
-            (self.width_m, box.narrow_m, box.wide_m),
-            (self.smooth, box.smooth, box.most_smooth),
-            (self.upright, box.upright, 1.0),
-            (self.length_m, box.squat * top, np.inf),
-        ):
-            is_box &= (value >= least) & (value <= most)
+        is_box &= (top >= box.least_top_m) & (top <= box.most_top_m)
+        is_box &= (self.length_m >= box.least_m) & (self.length_m <= box.most_m)
+        is_box &= (self.width_m >= box.narrow_m) & (self.width_m <= box.wide_m)
+        is_box &= (self.smooth >= box.smooth) & (self.smooth <= box.most_smooth)
+        is_box &= (self.upright >= box.upright) & (self.upright <= 1.0)
+        is_box &= self.length_m >= box.squat * top
         is_part = np.zeros(len(self.is_low), np.bool_)
         is_part[self.is_low] = is_box[self.of_cell]
         return is_part
@@ -268,14 +263,14 @@ class Bodies:
 
 def _sums_of(
     cells: Cells,
-    use: Mask,
-    of_body: NDArray[np.intp],
+    is_low: Mask,
+    of_cell: NDArray[np.intp],
     n_bodies: int,
     cell_m: float,
 ) -> F64:
-    """Return the sums of bodies, (bodies, 9) float64, places from the corner of the grid [m]."""
-    sums = cells.sums[use]
-    place = (cells.where[use] + 0.5) * cell_m
+    """Return the sums of bodies, (bodies, 9) float64, with places from the grid's corner [m]."""
+    sums = cells.sums[is_low]
+    place = (cells.where[is_low] + 0.5) * cell_m
     n = sums[:, 0]
     x = sums[:, 1]
     y = sums[:, 2]
@@ -285,7 +280,7 @@ def _sums_of(
     moved[:, 3] += 2 * place[:, 0] * x + n * place[:, 0] ** 2
     moved[:, 4] += place[:, 0] * y + place[:, 1] * x + n * place[:, 0] * place[:, 1]
     moved[:, 5] += 2 * place[:, 1] * y + n * place[:, 1] ** 2
-    return np.stack([np.bincount(of_body, column, n_bodies) for column in moved.T], axis=1)
+    return np.stack([np.bincount(of_cell, column, n_bodies) for column in moved.T], axis=1)
 
 
 @stage("soil")

@@ -53,8 +53,8 @@ from prc_cli.methods.rings.thresholds import FEW, MANY, MANY_RINGS, Limits
 WIDEST_FAN_RAD = math.radians(60)
 """Angle between the outermost rings of a spinning scanner, at most.
 
-27 to 45 degrees are usual, profilers see 125 and
-more."""
+27 to 45 degrees are usual; profilers see 125 and more.
+"""
 STEEPEST_RAD = math.radians(40)
 """Angle of the lowest ring from straight down, at least.
 
@@ -154,7 +154,7 @@ class Rings(Classifier[F64, RingsState]):
 
     @property
     def gives(self) -> frozenset[Label]:
-        """Surfaces, curbs and stems are not told."""
+        """No surfaces, curbs or stems."""
         return LABELS
 
     def scanner(self, first: ScanBlock) -> F64:
@@ -173,20 +173,23 @@ class Rings(Classifier[F64, RingsState]):
         wanted: Wanted,
     ) -> Sequence[LabelledBlock]:
         """Label a block, and its further returns by neighbouring shots of similar range."""
-        k = self.params.lines_per_block
-        key = "rings.lines_per_block"
         check_block(
-            block.range_m, block.next_m, len(scanner), k, columns=", one column a ring", key=key
+            block.range_m,
+            block.next_m,
+            len(scanner),
+            self.params.lines_per_block,
+            columns=", one column a ring",
+            key="rings.lines_per_block",
         )
         limits = limits_of(scanner)
         xyz_m = coordinates_of(block, scanner)
         up = UP[self.params.up]
 
-        def step(known: GroundPlane) -> tuple[tuple[Polar, Lowest], GroundPlane]:
-            ground = find_plane(xyz_m, known, limits.ground, up)
-            return ground, ground[1].plane
+        def find(known: GroundPlane) -> tuple[tuple[Polar, Lowest], GroundPlane]:
+            polar, low = find_plane(xyz_m, known, limits.ground, up)
+            return (polar, low), low.plane
 
-        polar, low = turn.hand_on(PLANE, step)
+        polar, low = turn.hand_on(PLANE, find)
         plane = low.plane
         above_m = above_ground(polar, low, limits.ground)
         sunken = sunken_shots(polar, above_m, limits.sunken)
@@ -239,12 +242,11 @@ def limits_of(beam_rad: F64) -> Limits:
 def coordinates_of(block: ScanBlock, beam_rad: F64) -> F32:
     """Return the coordinates of a block's shots, (lines, M, 3) float32 [m]; NaN = missing.
 
-    Where it has none, lines are taken to lie :data:`USUAL_STEP_RAD` apart.
+    If the block has none, lines are assumed to be :data:`USUAL_STEP_RAD` apart.
     """
     if block.xyz_m is not None:
-        return np.ascontiguousarray(
-            block.xyz_m if block.frame is None else block.frame.own(block.xyz_m)
-        )
+        xyz_m = block.xyz_m if block.frame is None else block.frame.own(block.xyz_m)
+        return np.ascontiguousarray(xyz_m)
     azimuth = USUAL_STEP_RAD * (block.first_line + np.arange(block.n_lines))[:, None]
     across = block.range_m * np.abs(np.sin(beam_rad))
     height = -block.range_m * np.cos(beam_rad)
@@ -270,19 +272,22 @@ def sight_over(
 ) -> F64:
     """Return the height above the ground of the highest ring at every cell, (cells,) [m]."""
     place = (cells.where + 0.5) * limits.cells.cell_m - limits.cells.half_m
-    rise: Any = np.max(-plane.up * np.cos(beam_rad) / np.maximum(np.abs(np.sin(beam_rad)), 1e-3))
-    if plane.turn is not None:
-        rise = _highest_rise(beam_rad, plane, np.arctan2(place[:, 1], place[:, 0]))
+    if plane.turn is None:
+        rise: Any = np.max(
+            -plane.up * np.cos(beam_rad) / np.maximum(np.abs(np.sin(beam_rad)), 1e-3)
+        )
+    else:
+        rise = _rise_of_leaning_ring(beam_rad, plane, np.arctan2(place[:, 1], place[:, 0]))
     sight: F64 = np.hypot(place[:, 0], place[:, 1]) * rise - plane.height_m
     return sight
 
 
-def _highest_rise(beam_rad: F64, plane: GroundPlane, azimuth_rad: F64) -> F64:
-    """Return how much the highest ring of a scanner that leans rises to each side."""
+def _rise_of_leaning_ring(beam_rad: F64, plane: GroundPlane, azimuth_rad: F64) -> F64:
+    """Return metres up per metre of the highest ring, towards azimuths, if the scanner leans."""
     around = np.arange(-math.pi, math.pi, USUAL_STEP_RAD)
-    highest = math.pi / 2 - float(
-        np.abs(beam_rad).min() if plane.up < 0 else np.abs(beam_rad).max()
-    )
+    from_down_rad = np.abs(beam_rad)
+    outermost_rad = from_down_rad.min() if plane.up < 0 else from_down_rad.max()
+    highest = math.pi / 2 - float(outermost_rad)
     flat = math.cos(highest)
     ring = np.stack(
         [flat * np.cos(around), flat * np.sin(around), np.full(len(around), -math.sin(highest))],

@@ -284,15 +284,11 @@ def car_search(cars_found: Cars, lines: VerticalLines) -> CarSearch:
     test[interval > 0] = CarTest.VERTICAL
     test[kept == 1] = CarTest.VEGETATION
     test[kept == 2] = CarTest.ON_GROUND
-    test[(kept == 2) & _beyond(cars_found, lines)] = CarTest.BEHIND_WALL
+    beyond: Mask = lines.horizontal_m > cars_found.limit_m[:, None]
+    test[(kept == 2) & beyond] = CarTest.BEHIND_WALL
     test[cars_found.car] = CarTest.CAR
     test[missing] = CarTest.OUTSIDE
     return CarSearch(trigger.astype(np.uint8), interval.astype(np.uint16), test)
-
-
-def _beyond(cars_found: Cars, lines: VerticalLines) -> Mask:
-    beyond: Mask = lines.horizontal_m > cars_found.limit_m[:, None]
-    return beyond
 
 
 def spread(intervals: I32, values: I64, shape: tuple[int, ...]) -> I64:

@@ -286,27 +286,6 @@ def _gather_returns(
 
 
 @helper
-def _gather_points(
-    range_m: F32,
-    xyz_m: F32,
-    horizontal_m: F32,
-    row: int,
-    beam: I32,
-    first: int,
-    size: int,
-    points: F64,
-) -> None:
-    """Copy the points of a row from its return ``first`` on: those before are in no interval."""
-    for i in range(first, size):
-        k = beam[i]
-        points[i, 0] = xyz_m[row, k, 0]
-        points[i, 1] = xyz_m[row, k, 1]
-        points[i, _Z] = xyz_m[row, k, 2]
-        points[i, _RANGE] = range_m[row, k]
-        points[i, _DISTANCE] = horizontal_m[row, k]
-
-
-@helper
 def _change_angle(
     xyz_m: F32,
     row: int,
@@ -342,23 +321,6 @@ def _change_angle(
 
 
 @helper
-def _is_under(
-    range_m: F32,
-    row: int,
-    beam: I32,
-    j: int,
-    n_before: int,
-    threshold_m: float,
-) -> bool:
-    """Whether one of the points before is farther away (TestUnder)."""
-    range_here = np.float64(range_m[row, beam[j]])
-    farthest = range_here
-    for before in range(max(0, j - n_before), j):
-        farthest = max(farthest, np.float64(range_m[row, beam[before]]))
-    return bool(farthest - range_here > threshold_m)
-
-
-@helper
 def _starts_interval(
     range_m: F32,
     xyz_m: F32,
@@ -378,7 +340,14 @@ def _starts_interval(
     if angle != angle:
         angle = signed_deg[row, beam[j]]
     gradual = angle < thresholds.sudden_from_deg or angle > thresholds.sudden_to_deg
-    return gradual or _is_under(range_m, row, beam, j, thresholds.under_points, thresholds.under_m)
+    if gradual:
+        return True
+    # the paper's TestUnder: one of the points before is farther away
+    range_here = np.float64(range_m[row, beam[j]])
+    farthest = range_here
+    for before in range(max(0, j - thresholds.under_points), j):
+        farthest = max(farthest, np.float64(range_m[row, beam[before]]))
+    return bool(farthest - range_here > thresholds.under_m)
 
 
 @helper
@@ -577,7 +546,14 @@ def car_intervals(
         )
         if j == size:
             continue
-        _gather_points(range_m, xyz_m, horizontal_m, row, beam, j, size, points)
+        # points before the first change from H to V are in no interval
+        for i in range(j, size):
+            k = beam[i]
+            points[i, 0] = xyz_m[row, k, 0]
+            points[i, 1] = xyz_m[row, k, 1]
+            points[i, _Z] = xyz_m[row, k, 2]
+            points[i, _RANGE] = range_m[row, k]
+            points[i, _DISTANCE] = horizontal_m[row, k]
         jump = NONE
         while j < size:
             if code[j] != _VERTICAL or (j > 0 and code[j - 1] != _HORIZONTAL):

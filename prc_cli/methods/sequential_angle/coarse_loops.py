@@ -337,13 +337,6 @@ _MIDDLE = 45.0
 
 
 @helper
-def _tilt(signed_deg: float, fold: bool) -> float:
-    """Angle of a chord with the vertical [deg], unsigned; with ``fold`` up and down are alike."""
-    angle = abs(signed_deg)
-    return min(angle, 180.0 - angle) if fold else angle
-
-
-@helper
 def _first_label(tilt: F64, begin: int, end: int) -> int:
     """Return the first label of a run: the one nearer to the median of its first five samples."""
     n = min(end - begin, 5)
@@ -418,7 +411,8 @@ def surface_image(
         m = np.uint64(0)
         for k in range(width):
             beam[m] = k
-            tilt[m] = _tilt(np.float64(signed_deg[row, k]), thresholds.fold)
+            angle = abs(np.float64(signed_deg[row, k]))
+            tilt[m] = min(angle, 180.0 - angle) if thresholds.fold else angle
             grown[m] = vegetation[row, k]
             m += np.uint64(not math.isnan(signed_deg[row, k]))
         begin = np.uint64(0)
@@ -478,16 +472,6 @@ def _fullest(
     return most, first
 
 
-@helper
-def _in_two_layers(values: F64, n: int, width: float) -> int:
-    """Return the number of values in the fullest layer and the fullest one of those beside it."""
-    _sort(values, n)
-    most, first = _fullest(values, 0, n, width)
-    below, _ = _fullest(values, 0, first, width)
-    above, _ = _fullest(values, first + most, n, width)
-    return most + max(below, above)
-
-
 _BINS = 256
 
 
@@ -536,7 +520,11 @@ def _label_if_layered(
         values, m, thresholds.width_m, thresholds.share, bins
     ):
         return
-    inside = _in_two_layers(values, m, thresholds.width_m)
+    _sort(values, m)
+    most, first = _fullest(values, 0, m, thresholds.width_m)
+    below, _ = _fullest(values, 0, first, thresholds.width_m)
+    above, _ = _fullest(values, first + most, m, thresholds.width_m)
+    inside = most + max(below, above)
     if np.float64(inside) > thresholds.share * np.float64(m):
         for i in range(m):
             labels[beam[i]] = _VERTICAL

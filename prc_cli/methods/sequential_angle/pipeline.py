@@ -291,9 +291,18 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
             block_stages = None if stages is None else stages.of_lines(lines)
             labelled = _labelled(final_block, labels, block_stages, self.thresholds)
             if block_stages is not None:
-                labelled = replace(labelled, above_m=_above(final_block, block_stages, scanner))
+                if final_block.xyz_m is None:
+                    up_m = final_block.range_m * -np.cos(scanner.beam_rad).astype(np.float32)
+                else:
+                    up_m = np.where(
+                        np.isnan(final_block.range_m), np.float32(np.nan), final_block.xyz_m[..., 2]
+                    )
+                above: F32 = (up_m - block_stages.ground_height_m).astype(np.float32, copy=False)
+                labelled = replace(labelled, above_m=above)
             if wanted.reasons:
-                labelled = replace(labelled, reasons=_reasons(labelled.labels, labels))
+                reasons = reasons_of(labelled.labels, LABEL_REASONS["sequential-angle"])
+                reasons[labelled.labels != labels] = Reason.BEYOND_REACH
+                labelled = replace(labelled, reasons=reasons)
             if wanted.measures:
                 labelled = replace(labelled, measures=measures_of(labelled))
             labelled_blocks.append(labelled)
@@ -315,16 +324,6 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
         if segments:
             notices.append("the sequential-angle method has no segments: every segment id is 0")
         return tuple(notices)
-
-
-def _reasons(labels: U8, method_labels: U8) -> U8:
-    """Return the rule behind every label of :func:`_labelled`, (lines, M) uint8.
-
-    ``method_labels`` differ in the returns beyond the reach, which the method does not see.
-    """
-    reasons = reasons_of(labels, LABEL_REASONS["sequential-angle"])
-    reasons[labels != method_labels] = Reason.BEYOND_REACH
-    return reasons
 
 
 def measures_of(labelled: LabelledBlock) -> dict[str, NDArray[Any]]:
@@ -375,16 +374,6 @@ def classify_block(
         CURBS, lambda state: decide_curbs(with_cars, state, thresholds, last=last)
     )
     return FinalLines(in_columns(final_rows, curb, beams, thresholds.curb), final_rows)
-
-
-def _above(block: ScanBlock, stages: StageLabels, beams: Beams) -> F32:
-    """Return heights above the ground, (lines, M) float32 [m]; NaN = missing or unknown."""
-    if block.xyz_m is None:
-        up_m = block.range_m * -np.cos(beams.beam_rad).astype(np.float32)
-    else:
-        up_m = np.where(np.isnan(block.range_m), np.float32(np.nan), block.xyz_m[..., 2])
-    above: F32 = (up_m - stages.ground_height_m).astype(np.float32, copy=False)
-    return above
 
 
 def _split_lines(
@@ -616,7 +605,11 @@ def stages_in_columns(parts: Sequence[RowsBeforeCurbs], labels: U8, beams: Beams
         empty = np.empty((0, m), np.uint8)
         empty_heights = empty.astype(np.float32)
         return StageLabels(empty, empty, empty_heights, empty, empty.astype(np.uint16), empty)
-    rows = _join(parts)
+    values: dict[str, Any] = {
+        column.name: np.concatenate([getattr(part, column.name) for part in parts])
+        for column in fields(RowsBeforeCurbs)
+    }
+    rows = RowsBeforeCurbs(**values)
     height = np.repeat(rows.ground_height_m[:, None], rows.surface.shape[1], axis=1)
     test = to_columns(rows.car_test, sides, m)
     test[(test == CarTest.CAR) & (labels != Label.CAR)] = CarTest.BEHIND_CURB
@@ -649,14 +642,6 @@ def _split(
 def _rows_of(rows: RowsBeforeCurbs, part: slice) -> RowsBeforeCurbs:
     values: dict[str, Any] = {
         column.name: getattr(rows, column.name)[part] for column in fields(rows)
-    }
-    return RowsBeforeCurbs(**values)
-
-
-def _join(parts: Sequence[RowsBeforeCurbs]) -> RowsBeforeCurbs:
-    values: dict[str, Any] = {
-        column.name: np.concatenate([getattr(part, column.name) for part in parts])
-        for column in fields(RowsBeforeCurbs)
     }
     return RowsBeforeCurbs(**values)
 

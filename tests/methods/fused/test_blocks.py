@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,13 @@ from prc_cli.methods.fused import texture_loops as fused_texture
 from prc_cli.methods.fused.interlace import align_columns
 from prc_cli.methods.fused.pipeline import FusedParams
 from prc_cli.methods.fused.plane import ScanPlane
-from prc_cli.methods.fused.range_noise import PART_LINES, _middle, off_lines, range_noise
+from prc_cli.methods.fused.range_noise import (
+    MIDDLE_OF_THREE,
+    NORMAL_QUARTILE,
+    PART_LINES,
+    off_lines,
+    range_noise,
+)
 from prc_cli.methods.fused.thresholds import STREET
 from prc_cli.simulation.settings import load_settings, open_simulation
 
@@ -87,10 +94,11 @@ def test_on_a_push_broom_strip(real_data: Path) -> None:
     assert max(changed(range_m, beam_rad, 1, 16)) < MOST
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 8, 9, 200, 201])
-def test_the_middle_is_the_median(n: int) -> None:
+@pytest.mark.parametrize("n", [100, 101, 102, 200, 201])
+def test_the_noise_is_by_the_median(n: int) -> None:
     values = np.random.default_rng(n).choice(np.array([0.5, 1.0, 2.5, 7.0], np.float32), n)
-    assert _middle(values.copy()) == np.median(values)
+    deviation = float(np.median(values)) / (NORMAL_QUARTILE * math.sqrt(MIDDLE_OF_THREE))
+    assert range_noise(values) == deviation
 
 
 @pytest.mark.parametrize(("n", "is_known"), [(100, True), (99, False)])
