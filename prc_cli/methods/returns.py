@@ -73,19 +73,18 @@ def label_extra_returns(
     cells_m = np.full((n_lines + 2, width), np.nan, np.float32)
     cells_m[1:-1, BESIDE:-BESIDE] = range_m
     cells = cells_m.ravel()
-    own_cell = (line.astype(np.int64) + 1) * width + column + BESIDE
-    # differences, cells
-    nearest = np.full(len(line), np.inf)
-    chosen = np.full(len(line), -1)
+    cell_of_shot = (line.astype(np.int64) + 1) * width + column + BESIDE
+    least_m = np.full(len(line), np.inf)
+    nearest_cell = np.full(len(line), -1)
     for around, zeta in ((IN_SLICE, zeta_p), (ADJACENT, zeta_s)):
-        nearest = np.minimum(np.where(chosen >= 0, nearest, np.inf), zeta)
+        least_m = np.minimum(np.where(nearest_cell >= 0, least_m, np.inf), zeta)
         for lines_away, columns_away in around:
-            cell = own_cell + (lines_away * width + columns_away)
-            difference = np.abs(range_m_extra - cells[cell])
-            better = difference < nearest
-            np.copyto(nearest, difference, where=better)
-            np.copyto(chosen, cell, where=better)
-    agrees = chosen >= 0
-    y, x = np.divmod(chosen[agrees], width)
-    labels_extra[agrees] = labels[y - 1, x - BESIDE]
+            cell = cell_of_shot + (lines_away * width + columns_away)
+            difference_m = np.abs(range_m_extra - cells[cell])
+            is_nearer = difference_m < least_m
+            np.copyto(least_m, difference_m, where=is_nearer)
+            np.copyto(nearest_cell, cell, where=is_nearer)
+    agrees = nearest_cell >= 0
+    padded_line, padded_column = np.divmod(nearest_cell[agrees], width)
+    labels_extra[agrees] = labels[padded_line - 1, padded_column - BESIDE]
     return labels_extra

@@ -1,6 +1,6 @@
 """All limits of the fused classifier, by name.
 
-What the loops, their slow twins and ``prc explain`` read.
+The loops, their slow twins and ``prc explain`` read them.
 
 The loops of the street compute in float32, those of the forest in float64, and their limits are of
 that type. docs/fused.md says what each is worth.
@@ -44,7 +44,7 @@ class NearThresholds(NamedTuple):
 
 
 class SmoothThresholds(NamedTuple):
-    """When a shot and a pair of neighbours lie on a smooth surface."""
+    """Limits by which a shot and a pair of neighbours are on a smooth surface."""
 
     tolerance_m: np.float32 = f32(0.006)
     """Greatest distance from the line through the pair at range 0 [m]."""
@@ -55,16 +55,16 @@ class SmoothThresholds(NamedTuple):
     gap_steps: np.float32 = f32(16)
     """... or so many distances between adjacent columns, if that is more."""
     apart_m: np.float32 = f32(0.012)
-    """Shots of a line are compared at least so far apart, if columns allow it [m] ..."""
+    """Least distance between the shots of a line that are compared, if columns are closer [m]."""
     leaf_m: np.float32 = f32(0.03)
-    """... and two columns apart, up to this distance: leaves are smaller [m]."""
+    """Shots two columns away are compared if that is at most this far: leaves are smaller [m]."""
 
 
 class SpacingThresholds(NamedTuple):
-    """Which shots are on leaves, and when a shot of another line is on the same one."""
+    """Limits by which shots are on leaves, and shots of another line on the same leaf."""
 
     tolerance_m: np.float32
-    """Shots that differ by less in range are on one thing, at range 0 [m]."""
+    """Shots that differ by less in range are on the same surface, at range 0 [m]."""
     tolerance_per_m: np.float32
     """Added to it per metre of range."""
     near_m: np.float32 = f32(1.5)
@@ -77,9 +77,9 @@ class ChordThresholds(NamedTuple):
     chord_m: np.float32 = f32(0.15)
     """Half length of the chord [m]."""
     slope: np.float32 = f32(0.4)
-    """An upright chord goes less than this times its height to the side.
+    """Greatest slope of an upright chord, metres to the side per metre of height.
 
-    a level one the other way round.
+    Of a level one, metres of height per metre to the side.
     """
     slack_m: np.float32 = f32(0.02)
     """Added to that limit [m]."""
@@ -101,10 +101,7 @@ class WalkThresholds(NamedTuple):
     gap_slope: np.float32 = f32(0.08)
     """Added to the step per metre between the two shots, at any distance."""
     known_m: np.float32 = f32(0.15)
-    """Greatest difference to the remembered height of the place [m].
-
-    Enough without the other limits.
-    """
+    """A shot this near to the remembered height of its place is ground without other limits [m]."""
     memory_lines: np.float32 = f32(60)
     """Lines that a place is remembered for."""
     follow: np.float32 = f32(0.4)
@@ -114,54 +111,57 @@ class WalkThresholds(NamedTuple):
 
 
 class ColumnThresholds(NamedTuple):
-    """What trunks and posts are, where lines run along them."""
+    """What trunks, posts, people and pieces of posts are: things that lines see past.
+
+    A thing is a run: adjacent shots of a line that count.
+    """
 
     lines: np.float32 = f32(60)
-    """So many lines see them, at most ..."""
+    """Most lines that see a trunk or post."""
     least_near: np.float32 = LEAST_NEAR
-    """... in shots with so many near neighbours ..."""
+    """Near neighbours of a shot that counts."""
     smooth: np.float32 = f32(3)
-    """... and so many smooth pairs ..."""
+    """Smooth pairs of a smooth shot."""
     foot_m: np.float32 = f32(0.3)
-    """... higher than this above the ground [m] ..."""
+    """Least height above the ground of a shot that counts [m]."""
     jump_m: np.float32 = f32(0.5)
-    """... that differ by less than this in range [m] ..."""
+    """Greatest difference in range between adjacent shots of a thing [m]."""
     far_m: np.float32 = f32(1)
-    """... and what lines beside them see is farther by more than this [m]."""
+    """What is beside a thing is farther than it by more than this [m]."""
     shots: np.float32 = f32(6)
-    """Fewest such shots of a run ..."""
+    """Fewest shots of a thing with far things on both sides."""
     share: np.float32 = f32(0.8)
-    """... and their share in its smooth shots."""
+    """Least share of such shots in its smooth shots."""
     tall_m: np.float32 = f32(1)
-    """They reach from one height to another at least as far apart [m] ..."""
+    """Least height from the lowest to the highest shot of a trunk or post [m]."""
     low_m: np.float32 = f32(3)
-    """... begin below this [m] ..."""
+    """Greatest height above the ground of its lowest shot [m]."""
     high_m: np.float32 = f32(2.2)
-    """... go up to this at least: people and cars are lower [m] ..."""
+    """Least height above the ground of its highest shot: people and cars are lower [m]."""
     deep_m: np.float32 = f32(0.6)
-    """... and are no deeper than this [m]."""
+    """Greatest depth of a trunk or post [m]."""
     thin_lines: np.float32 = f32(3)
-    """Most of their shots are seen by so few lines, too few to see whether they are round ..."""
+    """Lines that see a trunk or post, up to which it need not be round: too few to see that."""
     round_m: np.float32 = f32(0.03)
-    """... or are of something round with at least this radius [m]."""
+    """Least radius of a trunk or post that more lines see [m]."""
     small_lines: np.float32 = f32(7)
-    """Lower things seen by so few lines ..."""
+    """Most lines that see something small, as people."""
     small_share: np.float32 = f32(0.7)
-    """... in this share of their shots ..."""
+    """Least share of shots that so few lines see."""
     small_m: np.float32 = f32(0.5)
-    """... and no deeper than this are people and the like [m] ..."""
+    """Greatest depth of something small [m]."""
     person_m: np.float32 = f32(1.5)
-    """... if they go up to this, or nothing stands close behind them [m] ..."""
+    """Least height of a person; lower things count only with far things behind them [m]."""
     post_m: np.float32 = f32(0.12)
-    """... or bollards, if no deeper than this [m] ..."""
+    """Something small is a bollard if it is less deep than this [m] ..."""
     post_tall_m: np.float32 = f32(0.4)
-    """... and either seen higher than this in one line [m] ..."""
+    """... and a line sees more than this of its height [m] ..."""
     post_top_m: np.float32 = f32(1.25)
-    """... or ending below this: people are taller [m]."""
+    """... or its top is lower than this: people are taller [m]."""
     slim_lines: np.float32 = f32(4)
-    """What so few lines see is thin ..."""
+    """Most lines that see something thin, which may be a piece of a post."""
     piece_lines: np.float32 = f32(24)
-    """... and so few, lower than tall_m, may be a slanted plane's piece of a post."""
+    """Most lines that see a piece of a post, less high than ``tall_m``, in a slanted plane."""
 
 
 class StripThresholds(NamedTuple):
@@ -221,12 +221,12 @@ class FlankThresholds(NamedTuple):
 
 
 class DecisionThresholds(NamedTuple):
-    """Limits of the questions that label a shot."""
+    """Limits of the rules that label a shot."""
 
     least_near: np.float32 = LEAST_NEAR
     """A shot with fewer near neighbours is lonely."""
     spike_share: np.float32 = f32(0.65)
-    """A rough shot is a spike where the share of smooth pairs around it is greater."""
+    """A rough shot is a spike if the share of smooth pairs around it is greater."""
     below_m: np.float32 = f32(0.3)
     """Rough shots farther below the ground are noise [m] ..."""
     pit_near: np.float32 = f32(9)
@@ -282,7 +282,7 @@ class DecisionThresholds(NamedTuple):
     pole_shots: np.float32 = f32(6)
     """Fewest shots of its run."""
     thick_m: np.float32 = f32(0.14)
-    """What is as deep, from the middle of its front to its edges, is a trunk [m]."""
+    """A thing is a trunk if its edges are farther than the middle of its front by this [m]."""
     arm_m: np.float32 = f32(3)
     """Above this height level pieces may be poles: arms and lamps [m]."""
     box_m: np.float32 = f32(2)
@@ -302,14 +302,14 @@ class DecisionThresholds(NamedTuple):
 
 
 class AgainThresholds(NamedTuple):
-    """Noise that is seen in a wider window alone."""
+    """Limits of noise that only a wider window shows."""
 
     mirror_m: np.float32 = f32(0.3)
     """A mirror image in a car is farther than the car by more than this [m] ..."""
     mirror_share: np.float32 = f32(0.7)
     """... and this share of the shots on either side are of the car."""
     alone_texture: np.float32 = f32(0.25)
-    """Rough shots may be alone where the share of smooth pairs around is greater ..."""
+    """Rough shots may be alone if the share of smooth pairs around is greater ..."""
     foot_m: np.float32 = FOOT_M
     """... higher than this above the ground [m] ..."""
     alone_m: np.float32 = f32(0.1)
@@ -317,11 +317,11 @@ class AgainThresholds(NamedTuple):
     alone_gap_m: np.float32 = f32(0.75)
     """... and none within this before, or behind [m]."""
     leaves: np.float32 = f32(3)
-    """Noise is a leaf where so many leaves around, in three lines, ..."""
+    """Noise is a leaf if so many leaves around, in three lines, ..."""
     leaf_m: np.float32 = f32(2)
     """... are within this in range [m].
 
-    Where columns are as far apart as for :attr:`Foliage.depth_step_rad`.
+    Only if columns are at least :attr:`Foliage.depth_step_rad` apart.
     """
 
 
@@ -384,13 +384,13 @@ class Spaced(NamedTuple):
     near_m: float = 1.5
     """At a leaf, both neighbours in the line are nearer in range than this [m] ..."""
     sigmas: float = 2.0
-    """... and off by more than so many tolerances of smoothness; else it is as far."""
+    """... and differ by more than so many tolerances of smoothness."""
     share: float = 0.4
-    """Leaves that another line may see again, as a share, beside those by chance."""
+    """Greatest share of leaves that another line sees again, besides those by chance."""
     keep_share: float = 0.3
-    """The same for a smaller distance than now; smaller, so that it does not flicker."""
+    """The same for a smaller distance than now; less, so that the distance does not flicker."""
     least: int = 30
-    """Fewest leaves to tell from; else the distance stays."""
+    """Fewest leaves that show a distance; with fewer it stays as it was."""
     decay: float = 0.9
     """Weight of what was seen four lines ago."""
 
@@ -406,7 +406,7 @@ class Spaced(NamedTuple):
 
 
 class DepthThresholds(NamedTuple):
-    """Which rough places are looked at again without what is nearer or farther."""
+    """Which rough places are looked at again without nearer and farther shots."""
 
     share: np.float32
     """Places with a smaller share of smooth pairs ..."""
@@ -417,12 +417,12 @@ class DepthThresholds(NamedTuple):
 
 
 class Foliage(NamedTuple):
-    """Surroundings by which foliage is told."""
+    """Surroundings that distinguish foliage."""
 
     half_width_m: float = 0.35
     """Half width of the surroundings that are averaged [m]."""
     at_depth: bool = True
-    """Whether rough surroundings are looked at again without what is nearer or farther ..."""
+    """Whether rough surroundings are looked at again without shots nearer or farther ..."""
     depth_m: float = 1.0
     """... by more than this [m] ..."""
     depth_pairs: int = 3
@@ -451,10 +451,7 @@ class Limits(NamedTuple):
     near: NearThresholds = NearThresholds()
     smoothness: Smoothness = Smoothness()
     interlace_rad: float = math.radians(0.2)
-    """Columns at least this far apart may be measured in two turns.
-
-    Finer scanners scan once [rad].
-    """
+    """Columns at least this far apart may be measured in two turns [rad]."""
     spaced: Spaced | None = Spaced()
     chords: ChordThresholds = ChordThresholds()
     walk: WalkThresholds = WalkThresholds()
@@ -471,11 +468,11 @@ class Limits(NamedTuple):
     roof_step_rad: float = math.radians(0.2)
     """Lines across roofs also find cars if columns are at least so far apart [rad]."""
     room_m: float = 6.0
-    """No car is where less than 1 % of the returns around are farther: a room [m]."""
+    """A place is a room, without cars, if less than 1 % of the returns around are farther [m]."""
 
 
 STREET = Limits()
-"""Profilers: shots lie close together, and lines see one place after the other."""
+"""Limits for profilers: shots are close together, and lines see one place after another."""
 
 
 def in_room(limits: Limits) -> Limits:
@@ -529,7 +526,7 @@ class StemThresholds(NamedTuple):
     """What a stem is: runs of successive lines, taken together."""
 
     near_m: float = 0.05
-    """Runs belong together where shots of one column differ by less than this in range [m] ..."""
+    """Runs belong together if shots of one column differ by less than this in range [m] ..."""
     near_share: float = 0.005
     """... plus this share of the range."""
     shots: float = 12.0
@@ -580,13 +577,13 @@ class Forest(NamedTuple):
     stems: StemThresholds = StemThresholds()
     classes: ForestThresholds = ForestThresholds()
     run_sigmas: float = 2.0
-    """Most distance of the next return beside a run, in sigmas of the range, if more."""
+    """Greatest distance of a return beside a run, in sigmas of the range noise."""
     soil_sigmas: float = 2.0
-    """Height up to which returns are ground, in the same."""
+    """Height up to which returns are ground, in sigmas of the range noise."""
     flat_sigmas: float = 3.0
-    """Greatest step in height between adjacent shots of a flat place, in the same."""
+    """Greatest step in height between adjacent shots of a flat place, in the same sigmas."""
     alone_rad: float = math.radians(0.3)
-    """Angle along the line in which a shot is alone, on either side [rad]."""
+    """Angle on either side, along the line, in which a shot without a near shot is alone [rad]."""
 
     def run_thresholds(self, step_rad: float, noise_m: float) -> RunThresholds:
         """Return the limits of the loop over the runs of a line, for a range noise [m]."""

@@ -18,7 +18,7 @@ NONE = np.int32(2**31 - 1)
 
 @helper
 def _root(parent: I32, run: int) -> int:
-    """Return the first run of the component of a run; shortens the path for the next call."""
+    """Return the first run of a run's component, and shorten the path to it."""
     while parent[run] != run:
         parent[run] = parent[parent[run]]
         run = parent[run]
@@ -100,10 +100,7 @@ def _draw_runs(
     parent: I32,
     n_columns: int,
 ) -> tuple[I32, I64]:
-    """Draw the components, numbered in raster order.
-
-    Return the image and their pixels, (n + 1,) int64.
-    """
+    """Draw the components, numbered in raster order; also return their pixels, (n + 1,) int64."""
     number = np.empty(len(parent), np.int32)
     n_components = 0
     for run in range(len(parent)):
@@ -175,7 +172,7 @@ def _winner(
     low: int,
     high: int,
 ) -> int:
-    """Return the most frequent component around a pixel, given the smallest and the largest."""
+    """Return the most frequent component around a pixel; only ``low`` and ``high`` are likely."""
     n_lines, n_columns = components.shape
     if 0 < line < n_lines - 1 and 0 < column < n_columns - 1:
         n_low = 0

@@ -52,7 +52,7 @@ def _beside(
     i: int,
     most: int,
 ) -> int:
-    """Return the line of the shot of a ring in a line or in the next one; -1 = none."""
+    """Return ``line`` if ring i has a shot in it, else the next line on if it has one, else -1."""
     for q in (line, line + way):
         if 0 <= q < most and place[q, i] == place[q, i]:
             return q
@@ -60,14 +60,15 @@ def _beside(
 
 
 @helper
-def _is_smooth(
+def _smooth_bits(
     before: F32,
     shot: F32,
     after: F32,
     most_m: float,
     tolerance_m: float,
 ) -> int:
-    """Return SMOOTH and ASKED for a shot between two; no bit where these are too far apart."""
+    """Return the bits SMOOTH and ASKED of a shot between two; only ASKED if these are far apart."""
+    # distance from the line through both: length of the cross product over that of the chord
     cx = float(after[0]) - before[0]
     cy = float(after[1]) - before[1]
     cz = float(after[2]) - before[2]
@@ -80,8 +81,8 @@ def _is_smooth(
     ex = dy * cz - dz * cy
     ey = dz * cx - dx * cz
     ez = dx * cy - dy * cx
-    near = ex * ex + ey * ey + ez * ez < tolerance_m * tolerance_m * square
-    return SMOOTH | ASKED if near else ASKED
+    is_on_line = ex * ex + ey * ey + ez * ez < tolerance_m * tolerance_m * square
+    return SMOOTH | ASKED if is_on_line else ASKED
 
 
 @kernel()
@@ -115,7 +116,7 @@ def mark_shots(
                 most_m = max(thresholds.chord_m, thresholds.chord_steps * k * step)
                 tolerance_m = thresholds.smooth_m + thresholds.smooth_per_m * far
                 marks[line, i] |= np.uint8(
-                    _is_smooth(
+                    _smooth_bits(
                         xyz_m[line_before, i],
                         xyz_m[line, i],
                         xyz_m[line_after, i],

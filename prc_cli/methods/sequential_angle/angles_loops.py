@@ -114,16 +114,13 @@ def _directions(up: F64, along: F64, m: int) -> None:
 
 
 @helper
-def _counted(
+def _without_noise(
     square: float,
     range_m: float,
     other_m: float,
     depth_m: float,
 ) -> float:
-    """Square of the length that counts for a chord.
-
-    Along the beams, what noise may be does not count [m2].
-    """
+    """Return the squared length of a chord, less the depth that may be range noise [m2]."""
     if depth_m == 0.0:
         return square
     depth = abs(other_m - range_m)
@@ -144,16 +141,16 @@ def _first_far(
     least: float,
     depth_m: float,
 ) -> int:
-    """Return the first of some shots that makes a chord with shot i, -1 = none.
+    """Return the first shot from ``begin`` on that makes a chord with shot i, -1 = none.
 
-    ``least`` is a square [m2].
+    ``least`` is the square of the least length of a chord [m2].
     """
     for j in range(begin, end, step):
         dx = x[j] - x[i]
         dy = y[j] - y[i]
         dz = z[j] - z[i]
         square = dx * dx + dy * dy + dz * dz
-        if square > 0.0 and _counted(square, r[i], r[j], depth_m) >= least:
+        if square > 0.0 and _without_noise(square, r[i], r[j], depth_m) >= least:
             return j
     return -1
 

@@ -135,10 +135,8 @@ class RowsBeforeCurbs:
     ground_height_m: F32
     """(R,) float32, z_g [m]."""
     trigger: U8
-    """(R, n) uint8, as in :class:`~prc_cli.methods.sequential_angle.car.CarSearch`.
-
-    n = 0 if not wanted.
-    """
+    """(R, n) uint8, as in :class:`~prc_cli.methods.sequential_angle.car.CarSearch`; n = 0 if not
+    wanted."""
     car_interval: U16
     """(R, n) uint16, likewise."""
     car_test: U8
@@ -248,7 +246,7 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
 
     @property
     def gives(self) -> frozenset[Label]:
-        """All classes except noise, building and stem, which other methods have."""
+        """All classes except noise, building and stem."""
         return frozenset(Label) - {Label.NOISE, Label.BUILDING, Label.STEM}
 
     def scanner(self, first: ScanBlock) -> Beams:
@@ -301,6 +299,7 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
                 labelled = replace(labelled, above_m=above)
             if wanted.reasons:
                 reasons = reasons_of(labelled.labels, LABEL_REASONS["sequential-angle"])
+                # labels differ where a return is beyond the reach of the method
                 reasons[labelled.labels != labels] = Reason.BEYOND_REACH
                 labelled = replace(labelled, reasons=reasons)
             if wanted.measures:
@@ -445,10 +444,7 @@ def follow_ground(
     *,
     last: bool,
 ) -> tuple[list[RowsWithGround], GroundQueue]:
-    """Find the ground of the next rows, in order (sec. 5).
-
-    The first rows wait until its height is known.
-    """
+    """Find the ground of the next rows, in order (sec. 5); the first rows wait for its height."""
     parts, state = _start_ground(rows, state, thresholds.ground, last=last)
     with_ground = []
     for part in parts:
@@ -474,10 +470,7 @@ def _start_ground(
     *,
     last: bool,
 ) -> tuple[list[LineResults], GroundQueue]:
-    """Let rows wait until the first ground height is known (sec. 5, part b).
-
-    Return the rows that need not wait any more.
-    """
+    """Queue rows until the first ground height is known (sec. 5, part b); return the ready ones."""
     if state.estimate is not None:
         return [rows], state
     waiting = (*state.waiting, rows)
@@ -496,7 +489,7 @@ def _start_ground(
 def find_cars(
     part: RowsWithGround, thresholds: SequentialAngleThresholds, *, stages: bool = False
 ) -> RowsWithCars:
-    """Find cars and possible curb points, which need only the ground height."""
+    """Find cars and possible curb points by the ground height of their row."""
     rows = part.rows
     z_g = part.height_m
     lines = rows.lines
