@@ -191,6 +191,8 @@ MISSING_CODE = 0
 """Code of a shot without return in label files (LAS: created, never classified)."""
 
 
+NO_CODE = -1
+"""Class code of a record without one, such as an empty cell."""
 ASPRS_NAMES = {
     1: "unclassified",
     2: "ground",

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
+from prc_cli.core.classes import NO_CODE
 from prc_cli.core.config import Params, build, read_toml, samples_folder
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import I64
@@ -28,8 +29,6 @@ OTHER = "other"
 """Name of the row or column without a counterpart; it is shown and counted but can never agree."""
 
 MAX_CODE = 2**32 - 1
-NO_CODE = -1
-"""Value of a record without a code, such as an empty cell."""
 IGNORED = -1
 _UNLISTED = -2
 _TABLE_SIZE = 2**16

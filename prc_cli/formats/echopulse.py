@@ -173,7 +173,10 @@ class EchoPulseSource(FieldSource):
                 for key, array in arrays.items():
                     if array.is_echo:
                         returns = array.read(handles[key], n_echoes)
-                        values[key] = _spread(returns, count[shot] > 0)
+                        # NaN for shots without a return
+                        kind = returns.dtype if returns.dtype.kind == "f" else np.float64
+                        values[key] = np.full(len(shot), np.nan, kind)
+                        values[key][count[shot] > 0] = returns
                     else:
                         values[key] = array.read(handles[key], len(count))[shot]
                 yield first_record, values, len(shot)
@@ -214,11 +217,3 @@ def _read_time(path: Path, n_pulses: int) -> tuple[float, float] | None:
     if int(match["n"]) != n_pulses:
         raise InputError(str(path), f"{match['n']} entries, but {n_pulses} shots", _COPY)
     return start_s, step_s
-
-
-def _spread(values: NDArray[Any], has_return: NDArray[np.bool_]) -> NDArray[Any]:
-    """Return values of returns for all records, (records,); NaN for shots without a return."""
-    kind = values.dtype if values.dtype.kind == "f" else np.dtype(np.float64)
-    out: NDArray[Any] = np.full(len(has_return), np.nan, kind)
-    out[has_return] = values
-    return out

@@ -82,13 +82,6 @@ def columns_of(line: I64, time_s: F64, xyz_m: F32, shots: Shots) -> Columns:
     )
 
 
-def _sorted(columns: Columns) -> Columns:
-    # packets may overtake each other
-    if (np.diff(columns.line) > 0).all():
-        return columns
-    return columns.part(np.argsort(columns.line, kind="stable"))
-
-
 class ColumnLines:
     """Puts columns of one scanner into lines."""
 
@@ -177,7 +170,10 @@ class ColumnLines:
 
     def _in_turn(self, columns: Columns) -> Columns:
         """Drop columns that come too late, and shorten pauses of the recording."""
-        columns = self._after_pauses(_sorted(columns))
+        # packets may overtake each other
+        if not (np.diff(columns.line) > 0).all():
+            columns = columns.part(np.argsort(columns.line, kind="stable"))
+        columns = self._after_pauses(columns)
         before = np.append(self._next - 1, columns.line)
         keep = columns.line > np.maximum.accumulate(before)[:-1]
         if not keep.all():

@@ -62,10 +62,13 @@ class JoinedFiles:
 
     def firsts(self) -> list[int]:
         """Return the number of the first record of every file, and the number of all records."""
-        counts = [
-            part.n_records if part.n_records is not None else _count(part) for part in self.parts
-        ]
-        return [0, *np.cumsum(counts).tolist()]
+        firsts = [0]
+        for part in self.parts:
+            n = part.n_records
+            if n is None:
+                n = sum(chunk.n for chunk in part.chunks(part.dimensions[:1]))
+            firsts.append(firsts[-1] + n)
+        return firsts
 
 
 def _one_after_the_other(names: tuple[str, ...], *parts: Source) -> Iterator[RecordChunk]:
@@ -220,7 +223,3 @@ def _why_apart(before: Source, after: Source) -> str:
     if step_s < 0.0:
         return f"it begins {-step_s:.3f} s before the end of the file before"
     return f"it begins {step_s:.3f} s after the end of the file before" if step_s > GAP_S else ""
-
-
-def _count(source: Source) -> int:
-    return sum(chunk.n for chunk in source.chunks(source.dimensions[:1]))

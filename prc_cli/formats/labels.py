@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.classes import ASPRS_NAMES, ClassCodes
+from prc_cli.core.classes import ASPRS_NAMES, NO_CODE, ClassCodes
 from prc_cli.core.errors import ConfigError, InputError, OutputError
 from prc_cli.core.files import open_to_read, suffix_of
-from prc_cli.formats.records import NO_CODE, CodeSource, nearest_first
+from prc_cli.formats.records import CodeSource, nearest_first
 from prc_cli.formats.registry import Format, by_suffix
 from prc_cli.formats.writing.base import Columns, ScatterWriter
 from prc_cli.formats.writing.columns import LabelOutput, Values, asked_columns

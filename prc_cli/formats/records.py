@@ -16,6 +16,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from prc_cli.core.classes import NO_CODE
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import I64
@@ -323,8 +324,6 @@ def filtered(
     )
 
 
-NO_CODE = -1
-"""Code of a record without one (an empty cell)."""
 _WHOLE = float(1 << 53)
 """Largest float64 below which every whole number is exact."""
 
@@ -436,9 +435,12 @@ class Contents:
     def see(self, values: dict[str, NDArray[Any]]) -> None:
         """Count the next records, by dimension."""
         for axis in (*AXES, "time"):
-            bounds = _bounds(values[axis]) if axis in values else None
-            if bounds is None:
+            if axis not in values:
                 continue
+            known = values[axis][np.isfinite(values[axis])]
+            if not len(known):
+                continue
+            bounds = (float(known.min()), float(known.max()))
             earlier = self.time_s if axis == "time" else self.bounds_m.get(axis)
             if earlier is not None:
                 bounds = min(earlier[0], bounds[0]), max(earlier[1], bounds[1])
@@ -491,11 +493,6 @@ def watched_contents(source: Source, contents: Contents) -> Iterator[RecordChunk
     for chunk in source.chunks(tuple(name for name in counted if name in present)):
         contents.see(chunk.values)
         yield chunk
-
-
-def _bounds(values: NDArray[Any]) -> tuple[float, float] | None:
-    known = values[np.isfinite(values)]
-    return (float(known.min()), float(known.max())) if len(known) else None
 
 
 def _count(counter: Counter[int], values: NDArray[Any]) -> None:

@@ -182,7 +182,6 @@ class _Fit:
         self.apex_m = np.zeros(3)
 
     def run(self) -> bool:
-        """Fit axis and apex; return whether the steps converged."""
         for step in range(ROUNDS):
             moved = self._step(with_apex=step >= UPRIGHT_ROUNDS, is_mild=step < MILD_ROUNDS)
             if step > MILD_ROUNDS and moved < CLOSE:

@@ -91,7 +91,6 @@ def units_of_system(crs: str | None) -> SystemUnits | None:
 
 
 def _wkt_of(crs: str) -> str:
-    """Return the WKT of a code; empty without pyproj or if it is unknown."""
     try:
         import pyproj
     except ImportError:

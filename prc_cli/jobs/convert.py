@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from prc_cli.config import LoadedConfig, RunConfig, resolve
+from prc_cli.core.classes import NO_CODE
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import atomic_outputs
 from prc_cli.core.stream import LabelledBlock, ScanBlock, StreamInfo
@@ -31,7 +32,7 @@ from prc_cli.formats.outputs import (
     stream_format,
     stream_suffix,
 )
-from prc_cli.formats.records import NO_CODE, Source
+from prc_cli.formats.records import Source
 from prc_cli.formats.registry import Held, format_of, is_cloud
 from prc_cli.formats.writing.base import StreamItem, StreamShape
 from prc_cli.formats.writing.columns import LinesApart

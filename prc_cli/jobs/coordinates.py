@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.config import LoadedConfig, RunConfig, load_config, resolve
+from prc_cli.core.classes import NO_CODE
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
@@ -26,7 +27,7 @@ from prc_cli.core.threads import closing_items
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import Layout
-from prc_cli.formats.records import NO_CODE, FilteredSource, RecordChunk, Source
+from prc_cli.formats.records import FilteredSource, RecordChunk, Source
 from prc_cli.formats.writing.columns import (
     SPACING_M,
     AtStations,

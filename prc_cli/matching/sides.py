@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from prc_cli.core.classes import NO_CODE
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import F64, I64, U8, Mask
@@ -17,7 +18,6 @@ from prc_cli.formats.labels import open_codes
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.records import (
     CLASS_CODE,
-    NO_CODE,
     CodeSource,
     Reading,
     RecordChunk,

@@ -352,7 +352,6 @@ def _why_turned(file: ArrayFile, name: str, config: InputConfig) -> str:
 
 
 def _find_shape(header: NpyHeader, file: ArrayFile, config: InputConfig) -> tuple[int, int, int]:
-    """Return lines, points per line and shots of the ranges."""
     shape = header.shape
     wanted = config.points_per_line
     if header is file.headers.get(XYZ) and len(shape) == XYZ_DIMENSIONS:

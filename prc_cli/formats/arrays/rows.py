@@ -190,7 +190,6 @@ class ArrayFile:
 
     @contextmanager
     def _archive(self) -> Iterator[zipfile.ZipFile | None]:
-        """Open an archive; None for a single array."""
         if not self.is_archive:
             yield None
             return

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -140,9 +139,9 @@ def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtyp
         elif part not in _OPTIONAL:
             lacking.append(part)
     shown = ", ".join(fields)[:200]
-    expect(
-        not _is_livox(fields), f"has points of a Livox (fields: {shown}), expected rings", _NO_RINGS
-    )
+    # beams of a Livox draw rosettes, and its ``line`` is a laser, no cone
+    is_livox = "tag" in fields and ("line" in fields or "ring" in fields)
+    expect(not is_livox, f"has points of a Livox (fields: {shown}), expected rings", _NO_RINGS)
     has_all = bool(step) and not lacking
     hint = _NO_RINGS if lacking == ["ring"] else ""
     expect(has_all, f"has points without {', '.join(lacking) or 'bytes'} (fields: {shown})", hint)
@@ -153,11 +152,6 @@ def _point(fields: dict[str, tuple[int, int]], step: int, order: str) -> np.dtyp
     ends = [offset + kind.itemsize for offset, kind in zip(offsets, kinds, strict=True)]
     expect(max(ends) <= step, f"has fields beyond the {step} bytes of a point")
     return np.dtype({"names": list(parts), "formats": kinds, "offsets": offsets, "itemsize": step})
-
-
-def _is_livox(fields: Collection[str]) -> bool:
-    # its beams draw rosettes, and ``line`` is a laser, no cone
-    return "tag" in fields and ("line" in fields or "ring" in fields)
 
 
 def _decoded(

@@ -251,7 +251,6 @@ class CloudLines:
         return max(1, round((timing.start_s - self._last_column_s) / timing.period_s))
 
     def _add_by_azimuth(self, points: _Points, sweep: Sweep) -> Iterator[ScanBlock]:
-        """Take points whose times do not give columns."""
         placed = sweep.place(points.ring, points.time_s, self._azimuths(points))
         late_s = np.zeros(self.points_per_line)
         timing = Timing(0.0, 0.0, placed.column, late_s, fired_s=placed.time_s)

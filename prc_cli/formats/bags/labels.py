@@ -118,7 +118,6 @@ def label_laser(message: Message, take: Take) -> bytes:
 
 
 def _has_echo(n_echoes: I64) -> Mask:
-    """Return which records of a scan are echoes, (records,)."""
     is_echo: Mask = np.repeat(n_echoes > 0, np.maximum(n_echoes, 1))
     return is_echo
 

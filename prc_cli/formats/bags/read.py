@@ -106,6 +106,9 @@ class BagStream:
         notes = list(self._notes)
         if self.bag.problem:
             notes.insert(0, f"{self.bag.problem}: it was read up to there")
+        refused = RULED_OUT - {"origin"} if self._has_clouds else RULED_OUT
+        if not self._takes_scale:
+            refused |= {"range_scale"}
         lasers = all(topic.kind in LASERS for topic in self.topics)
         return StreamInfo(
             path=str(self._path),
@@ -118,7 +121,7 @@ class BagStream:
             assumptions=tuple(assumed),
             facts=SourceFacts(
                 has_line_times=not lasers,
-                refuses=self._refused(),
+                refuses=refused,
                 remedy=f"{_REMEDY}{_OR_ORIGIN if self._has_clouds else ''}",
                 has_returns=self._has_returns,
                 scanners=tuple(self._numbers) if len(self._numbers) > 1 else (),
@@ -127,10 +130,6 @@ class BagStream:
                 header=self._header(),
             ),
         )
-
-    def _refused(self) -> frozenset[str]:
-        refused = RULED_OUT - {"origin"} if self._has_clouds else RULED_OUT
-        return refused if self._takes_scale else refused | {"range_scale"}
 
     def _header(self) -> dict[str, str]:
         bag = self.bag
@@ -173,7 +172,6 @@ class BagStream:
         return frames
 
     def _choose(self) -> tuple[Topic, ...]:
-        """Return the topics to read."""
         topics = {topic.name: topic for topic in self.bag.counts}
         shown = (
             ", ".join(f"{name} ({topic.kind})" for name, topic in topics.items())[:600] or "none"
@@ -361,7 +359,6 @@ class _TopicReader:
         )
 
     def _scanner(self, frame: str, gather: Callable[..., _L], *first: Any) -> _L:
-        """Return the gatherer of the scans of a frame."""
         if frame not in self.frames:
             name = self._name(frame)
             n = len(self._numbers)
@@ -401,12 +398,10 @@ class _TopicReader:
             self.n_taken += lines.n_records
 
     def finish(self) -> Iterator[ScanBlock]:
-        """Yield the last blocks."""
         for lines in self.frames.values():
             yield from lines.finish()
 
     def notes(self) -> list[str]:
-        """Return sentences on unusual properties."""
         notes = [
             f"{self._name(frame)}: {lost}"
             for frame, lines in self.frames.items()

@@ -339,7 +339,6 @@ class _Held:
     n_records: int
 
     def stored(self, keys: tuple[str, ...]) -> Iterator[tuple[int, Columns, int]]:
-        """Yield index of the first record, stored values by property, and number of records."""
         for first in range(0, self.n_records, CHUNK_RECORDS):
             stop = min(first + CHUNK_RECORDS, self.n_records)
             yield first, {key: self.columns[key][first:stop] for key in keys}, stop - first

@@ -200,13 +200,11 @@ class CloudSource(FieldSource):
             yield first, {name: stored[keys[name]] for name in names}, n
 
     def _first_rows(self, keys: list[str]) -> Columns:
-        """Return the first rows as stored."""
         with closing(self.body.stored(tuple(keys))) as chunks:  # type: ignore[type-var]
             stored = next(chunks, (0, {key: np.empty(0) for key in keys}, 0))[1] if keys else {}
         return {key: stored[key] for key in keys}
 
     def _change(self, names: tuple[str, ...], **values: Any) -> None:
-        """Change the layout fields of columns."""
         for name in names:
             if name in self.columns:
                 column = self.columns[name]
@@ -272,7 +270,6 @@ class CloudSource(FieldSource):
 
 
 def _each(change: Any, *stored: Stored) -> Stored:
-    """Apply a function to records, or to every column of a table."""
     if isinstance(stored[0], np.ndarray):
         return change(*stored)  # type: ignore[no-any-return]
     return {name: change(*(table[name] for table in stored)) for name in stored[0]}
@@ -290,7 +287,6 @@ class _Runs:
     """(n,) bool, rows that repeat another return of the shot."""
 
     def until(self, stop: int) -> _Runs:
-        """Return the first rows."""
         return _Runs(self.ordinal[:stop], self.n_rows[:stop], self.is_copy[:stop])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from prc_cli.core.classes import NO_CODE
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.stream import LabelledBlock
 from prc_cli.formats.binary import CHUNK_RECORDS
 from prc_cli.formats.clouds.source import NO_CELL, OWN_COMMENT, CloudSource
-from prc_cli.formats.records import NO_CODE
 from prc_cli.formats.writing.base import ScatterWriter, StagedWriter, StreamItem, StreamShape
 from prc_cli.formats.writing.columns import (
     RANGE,
@@ -137,12 +137,6 @@ def stream_records(item: StreamItem, rows: slice, dtype: np.dtype[np.void]) -> N
     return records
 
 
-def _spans(n_lines: int, points_per_line: int) -> Iterator[slice]:
-    lines = max(1, (CHUNK_RECORDS >> 1) // points_per_line)
-    for first in range(0, n_lines, lines):
-        yield slice(first, min(first + lines, n_lines))
-
-
 class CloudWriter(StagedWriter):
     """Writer of a point for every cell and further return; a missing shot is NaN or left out."""
 
@@ -209,7 +203,9 @@ class CloudWriter(StagedWriter):
         assert self._shape is not None
         if not self._n_cells:
             self._dtype = self._write_header()
-        for rows in _spans(block.n_lines, block.points_per_line):
+        n_lines = max(1, (CHUNK_RECORDS >> 1) // block.points_per_line)
+        for first in range(0, block.n_lines, n_lines):
+            rows = slice(first, min(first + n_lines, block.n_lines))
             records = stream_records(item, rows, self._dtype)
             if labels is not None or self._shape.points:
                 records = records[~np.isnan(records["x" if labels is None else "range"])]
@@ -308,7 +304,13 @@ class CloudRewriter(ScatterWriter):
     def _write(self, record: RunRecord) -> RunRecord:
         source = self._source
         total = self._total(record)
-        fields = [(name, self._type(name)) for name in self._kept]
+        fields: list[tuple[str, np.dtype[Any]]] = []
+        for name in self._kept:
+            kind = source.head.types[name].newbyteorder("<")
+            if kind.str[1:] not in PLY_TYPES:
+                problem = f"cannot hold {name} of type {kind.str}"
+                raise OutputError(str(self.path), problem, "write .laz instead")
+            fields.append((name, kind))
         fields += [(column.name, column.dtype) for column in self._optional]
         dtype = np.dtype([*fields, (_CLASS, np.dtype("u1"))])
         with self._temporary.open("wb") as handle:
@@ -338,14 +340,6 @@ class CloudRewriter(ScatterWriter):
             problem = "found another number of points than at the start of the run"
             raise InputError(source.path, problem, "run again when nothing else writes the input")
         return self._completed(record)
-
-    def _type(self, name: str) -> np.dtype[Any]:
-        kind = self._source.head.types[name].newbyteorder("<")
-        if kind.str[1:] not in PLY_TYPES:
-            raise OutputError(
-                str(self.path), f"cannot hold {name} of type {kind.str}", "write .laz instead"
-            )
-        return kind
 
 
 def open_label_writer(labels: LabelOutput) -> StagedWriter:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.classes import NO_CODE, ClassCodes, Label
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, I64, U8
@@ -30,7 +30,6 @@ from prc_cli.formats.las.header import (
 from prc_cli.formats.las.laz import LasSink, LazSink, PointSink, Target, batch_size, new_laszip
 from prc_cli.formats.las.points import SCAN_ANGLE_STEP_DEG, extra_bytes_vlr, standard_columns
 from prc_cli.formats.las.vlrs import RECORD_TEXT, lookup_vlr, vlr_of_crs
-from prc_cli.formats.records import NO_CODE
 from prc_cli.formats.systems import looks_geographic, units_of_system
 from prc_cli.formats.writing.base import StagedWriter, StreamItem, StreamShape
 from prc_cli.formats.writing.columns import (

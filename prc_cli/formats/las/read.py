@@ -150,7 +150,6 @@ class LasSource:
 
     @property
     def _unread(self) -> str:
-        """Return a text on records behind those that the header counts; empty without any."""
         if n := self.header.n_unread_records:
             return f"{n:,} whole records follow the {self.n_records:,} that the header counts"
         if n := self._n_unread_chunks:

@@ -174,41 +174,42 @@ def copy_las(
     """Copy the records of the masks to a temporary LAS or LAZ file; return notices."""
     plan = Plan(las, las.point_format, output.suffix.lower() == LAZ, is_part=masks is not None)
     notices: list[str] = []
+    _note_unreadable(las, notices.append)
     vlrs = _planned_vlrs(plan, notices.append)
     dropped_users: tuple[str, ...] = (COPC_USER,)
     if record is not None:
         vlrs = with_record(vlrs, record)
         dropped_users = (COPC_USER, RECORD_KEY.user_id)
     points = _PointWriter(plan)
-
-    def write_points(source: InputBytes, target: Target, sink: Callable[[], PointSink]) -> None:
+    with open_bytes(las.path) as source, temporary.open("w+b") as file:
+        written = _OutputFile(plan, vlrs, source, Target(file))
         with contextlib.closing(read_records(source, las, plan.batch)) as batches:
             if masks is None:
-                points.write(sink(), batches)
-                return
-            # the masks first: behind the last one no batch is decoded
-            pairs = zip(masks(plan.batch), batches, strict=False)
-            points.write(sink(), (records[mask] for mask, records in pairs))
-
-    _write_file(plan, vlrs, temporary, write_points, points, dropped_users)
+                points.write(written.open_sink(), batches)
+            else:
+                # the masks first: behind the last one no batch is decoded
+                pairs = zip(masks(plan.batch), batches, strict=False)
+                points.write(written.open_sink(), (records[mask] for mask, records in pairs))
+        written.finish(points, dropped_users)
     points.check(temporary, output)
     return tuple(notices)
 
 
-def _planned_vlrs(
-    plan: Plan, notice: Callable[[str], None], *, keeps_index: bool = False
-) -> list[Vlr]:
-    """Return the VLRs of an output, still with the old run record; give notices of unusual ones."""
-    las = plan.las
-    vlrs = list(plan.las.vlrs)
-    has_unreadable = any(readable(vlr) != vlr for vlr in (*las.vlrs, *las.evlrs))
-    if has_unreadable:
+def _note_unreadable(las: LasHeader, notice: Callable[[str], None]) -> None:
+    if any(readable(vlr) != vlr for vlr in (*las.vlrs, *las.evlrs)):
         notice(
             "names or coordinate systems in the header have bytes that are no text; "
             "they were written as ?"
         )
-    if keeps_index:
-        return vlrs
+
+
+def _planned_vlrs(plan: Plan, notice: Callable[[str], None]) -> list[Vlr]:
+    """Return the VLRs of an output, still with the old run record; give notices of unusual ones.
+
+    The index of a COPC file fits the chunks of the input alone.
+    """
+    las = plan.las
+    vlrs = list(las.vlrs)
     if any(vlr.user_id == COPC_USER for vlr in vlrs):
         notice(
             "the COPC index does not fit the rewritten chunks and was left out: "
@@ -314,47 +315,47 @@ class _PointWriter:
             raise OutputError(str(output), problem, "write .las instead of .laz")
 
 
-def _write_file(
-    plan: Plan,
-    vlrs: list[Vlr],
-    temporary: Path,
-    write_points: Callable[[InputBytes, Target, Callable[[], PointSink]], None],
-    points: _PointWriter,
-    dropped_users: tuple[str, ...],
-) -> Tail:
-    """Write the file from its header to its last byte, without the EVLRs of some user ids."""
-    las = plan.las
-    vlrs = [readable(vlr) for vlr in vlrs]
-    with open_bytes(las.path) as source, temporary.open("w+b") as file:
-        target = Target(file)
-        fields = _new_fields(plan, vlrs)
+class _OutputFile:
+    """A file that is written from its header to its last byte; the caller writes the points."""
+
+    def __init__(self, plan: Plan, vlrs: list[Vlr], source: InputBytes, target: Target) -> None:
+        """Write what precedes the points."""
+        self._plan = plan
+        self._source = source
+        self._target = target
+        self._vlrs = [readable(vlr) for vlr in vlrs]
+        self._fields = _new_fields(plan, self._vlrs)
         # it only takes its place: counts and offsets are known at the end
-        target.write(fields.data)
-        for vlr in vlrs:
+        target.write(self._fields.data)
+        for vlr in self._vlrs:
             target.write(vlr.raw)
-        _copy_bytes(source, target, las.vlr_end, las.data_offset)
+        _copy_bytes(source, target, plan.las.vlr_end, plan.las.data_offset)
 
-        def open_sink() -> PointSink:
-            if not plan.compress:
-                return LasSink(target)
-            return LazSink(target, next(vlr.data or b"" for vlr in vlrs if vlr.has(LASZIP_KEY)))
+    def open_sink(self) -> PointSink:
+        if not self._plan.compress:
+            return LasSink(self._target)
+        laszip = next(vlr.data or b"" for vlr in self._vlrs if vlr.has(LASZIP_KEY))
+        return LazSink(self._target, laszip)
 
-        write_points(source, target, open_sink)
-        tail = plan_tail(las, tail_bounds(source, las), target.tell(), dropped_users)
+    def finish(self, points: _PointWriter, dropped_users: tuple[str, ...]) -> Tail:
+        """Write what follows the points, without the EVLRs of some user ids, and the header."""
+        las = self._plan.las
+        target = self._target
+        tail = plan_tail(las, tail_bounds(self._source, las), target.tell(), dropped_users)
         for start, stop in tail.spans:
-            _copy_bytes(source, target, start, stop)
+            _copy_bytes(self._source, target, start, stop)
         for evlr in las.evlrs:
             readable_evlr = readable(evlr)
             if evlr.user_id not in dropped_users and readable_evlr != evlr:
                 # of the same length as the copied one
                 target.seek(tail.moved(evlr.start))
                 target.write(readable_evlr.raw)
-        _set_tail(fields, las, tail)
-        points.set_counts(fields)
+        _set_tail(self._fields, las, tail)
+        points.set_counts(self._fields)
         target.seek(0)
-        target.write(fields.data)
+        target.write(self._fields.data)
         target.flush()
-    return tail
+        return tail
 
 
 def _copy_bytes(
@@ -500,56 +501,58 @@ class LasRewriter(ScatterWriter):
     def _write(self, record: RunRecord) -> RunRecord:
         las = read_las(self._source_path)
         if _header_bytes(las) != _header_bytes(self._las):
-            problem = "found another header than at the start of the run, expected the same file"
-            raise InputError(
-                str(self._source_path), problem, "run again when nothing else writes the input"
+            raise self._changed(
+                "found another header than at the start of the run, expected the same file"
             )
         check_copied(las)
         # the highest code decides the point format, so codes are counted before the plan
         for columns in self._columns(las.n_records):
             self._count(columns.codes)
         plan = self._plan(las)
+
         # if only classes change, chunks of LAZ may be copied with new classes (else None), and the
         # index of a COPC file stays
-        with open_bytes(self._source_path) as source:
-            splice = find_chunks(source, las) if plan.only_classes else None
+        splice = None
+        if plan.only_classes:
+            with open_bytes(self._source_path) as source:
+                splice = find_chunks(source, las)
         is_copc = splice is not None and bool(splice.pages)
-        vlrs = _planned_vlrs(plan, self._notice, keeps_index=is_copc)
+        _note_unreadable(las, self._notice)
+        vlrs = list(las.vlrs)
+        dropped_users: tuple[str, ...] = (RECORD_KEY.user_id,)
         if not is_copc:
-            vlrs, notices = with_lookup(las, vlrs, self._user_names)
+            vlrs, notices = with_lookup(las, _planned_vlrs(plan, self._notice), self._user_names)
             for notice in notices:
                 self._notice(notice)
+            dropped_users = (RECORD_KEY.user_id, COPC_USER)
         record = self._completed(record)
+
         points = _PointWriter(plan)
         moved_chunks: dict[int, tuple[int, int]] = {}
-
-        def write_points(
-            source: InputBytes, target: Target, open_sink: Callable[[], PointSink]
-        ) -> None:
-            values = self._columns(las.n_records, plan.batch)
-            if splice is not None:
+        values = self._columns(las.n_records, plan.batch)
+        with open_bytes(self._source_path) as source, self._temporary.open("w+b") as file:
+            target = Target(file)
+            written = _OutputFile(plan, with_record(vlrs, record), source, target)
+            if splice is None:
+                with contextlib.closing(read_records(source, las, plan.batch)) as batches:
+                    changed = self._changed_batches(plan, values, batches)
+                    points.write(written.open_sink(), changed)
+            else:
                 codes = (columns.codes for columns in values)
-                moved_chunks.update(
-                    splice_classes(source, target, splice, codes, self._laz_contexts)
-                )
-                return
-            with contextlib.closing(read_records(source, las, plan.batch)) as batches:
-                points.write(open_sink(), self._changed_batches(plan, values, batches))
+                moved_chunks |= splice_classes(source, target, splice, codes, self._laz_contexts)
+            tail = written.finish(points, dropped_users)
 
-        dropped_users = (RECORD_KEY.user_id,) if is_copc else (RECORD_KEY.user_id, COPC_USER)
-        tail = _write_file(
-            plan, with_record(vlrs, record), self._temporary, write_points, points, dropped_users
-        )
         if splice is not None and is_copc:
             moved_pages = {page.position: tail.moved(page.position) for page in splice.pages}
             move_index(self._temporary, las, splice, moved_chunks, moved_pages)
         points.check(self._temporary, self.path)
         if self._source_state() != self._state_at_start:
-            problem = "changed while it was read"
-            raise InputError(
-                str(self._source_path), problem, "run again when nothing else writes the input"
-            )
+            raise self._changed("changed while it was read")
         return record
+
+    def _changed(self, problem: str) -> InputError:
+        hint = "run again when nothing else writes the input"
+        return InputError(str(self._source_path), problem, hint)
 
     def _changed_batches(
         self, plan: Plan, values: Iterator[Columns], batches: Iterator[U8]

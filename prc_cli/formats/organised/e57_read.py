@@ -125,7 +125,6 @@ class E57File:
 
     @contextlib.contextmanager
     def _errors(self, what: str = "") -> Iterator[None]:
-        """Raise InputError for exceptions of the library."""
         try:
             yield
         except (self._library.E57Exception, *_NOT_AS_EXPECTED) as error:
@@ -304,12 +303,16 @@ class E57Stream:
         shapes = [scan.shape for scan in self._scans]
         check_shapes(path, shapes, config)
         poses = [scan.pose for scan in self._scans]
+        notes = []
+        if differ := [scan.shape.scanner for scan in self._scans if scan.bounds_differ]:
+            unfit = f"the header's index bounds do not fit scan {listed(differ)}"
+            notes.append(f"{unfit}: prc uses the rows and columns of the points")
         self.info = describe(
             path,
             "E57",
             shapes,
             self._assumptions(),
-            self._notes(),
+            notes,
             poses,
             takes_origin=takes_origin,
         )
@@ -448,15 +451,6 @@ class E57Stream:
                 Assumption("input", f"not read: {', '.join(unread[:20])}", "they are not needed")
             )
         return assumptions
-
-    def _notes(self) -> list[str]:
-        differ = [scan.shape.scanner for scan in self._scans if scan.bounds_differ]
-        if not differ:
-            return []
-        return [
-            f"the header's index bounds do not fit scan {listed(differ)}: "
-            "prc uses the rows and columns of the points"
-        ]
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start."""

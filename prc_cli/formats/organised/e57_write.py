@@ -255,7 +255,6 @@ class _Scan:
         return library.IntegerNode(image, 0, 0, top)
 
     def write(self, values: dict[str, NDArray[Any]]) -> None:
-        """Write points."""
         n = len(values["rowIndex"])
         for first in range(0, n, POINTS_AT_ONCE):
             part = slice(first, min(first + POINTS_AT_ONCE, n))
@@ -269,7 +268,6 @@ class _Scan:
             )
 
     def close(self) -> None:
-        """Write the header of the scan."""
         self.writer.close()
         names = ("rowMinimum", "rowMaximum", "columnMinimum", "columnMaximum")
         bounds = self._library.StructureNode(self._image)

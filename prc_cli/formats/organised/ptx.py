@@ -85,7 +85,6 @@ class _Scan:
 
     @property
     def size(self) -> str:
-        """What the header says of its points."""
         shape = self.shape
         return f"{shape.n_lines} columns x {shape.points_per_line} rows = {shape.n_cells} points"
 
@@ -128,7 +127,6 @@ class _Scan:
         return rows
 
     def refuse_row(self, number: int, line: bytes) -> NoReturn:
-        """Raise InputError for a line that is not a point."""
         n_before = number - self.first_line
         cells = line.split()
         if len(cells) == 1 and _COUNT.fullmatch(cells[0]):
@@ -158,7 +156,13 @@ class PtxStream:
         shapes = [scan.shape for scan in self._scans]
         check_shapes(path, shapes, config)
         poses = [scan.pose for scan in self._scans]
-        self.info = describe(path, "PTX", shapes, self._assumptions(), self._notes(), poses)
+        notes = []
+        if moved := [scan.shape.scanner for scan in self._scans if scan.pose.offset_m.any()]:
+            apart = (
+                f"the header's transformation and scanner position differ in scan {listed(moved)}"
+            )
+            notes.append(f"{apart}: ranges are measured from the scanner position")
+        self.info = describe(path, "PTX", shapes, self._assumptions(), notes, poses)
 
     def _assumptions(self) -> list[Assumption]:
         turned = any(not np.array_equal(scan.pose.rotation, np.eye(3)) for scan in self._scans)
@@ -197,15 +201,6 @@ class PtxStream:
                 Assumption("input.partial_line", "pad", f"the last line lacks {missing} shots")
             )
         return assumptions
-
-    def _notes(self) -> list[str]:
-        moved = [scan.shape.scanner for scan in self._scans if scan.pose.offset_m.any()]
-        if not moved:
-            return []
-        return [
-            f"the header's transformation and scanner position differ in scan {listed(moved)}: "
-            "ranges are measured from the scanner position"
-        ]
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start."""
@@ -305,7 +300,6 @@ class _Survey:
         return None
 
     def _refuse_points(self, scan: _Scan, text: bytes) -> NoReturn:
-        """Raise InputError for a point in place of the next scan."""
         # in a scan that is too short, the header of the next one follows among the points
         for _ in scan.parts():
             pass

@@ -290,7 +290,6 @@ class _Fragments:
         body: memoryview,
         time_s: float,
     ) -> Datagram | None:
-        """Take a fragment; return the datagram if it is complete."""
         if offset + len(body) > MAX_DATAGRAM:
             return None
         pending = self._pending.setdefault(key, _Pending(source, time_s))
@@ -309,6 +308,5 @@ class _Fragments:
         return None
 
     def finish(self) -> None:
-        """Count and drop incomplete datagrams."""
         self._count.n_fragments_lost += len(self._pending)
         self._pending.clear()

@@ -180,7 +180,6 @@ class _Parser:
         return np.array(value, np.float64)
 
     def metadata(self) -> Metadata:
-        """Return the checked metadata."""
         profile = self._find("udp_profile_lidar", "LEGACY")
         if not isinstance(profile, str) or profile not in _PROFILES:
             raise self._wrong("udp_profile_lidar", profile, f"one of {', '.join(_PROFILES)}")

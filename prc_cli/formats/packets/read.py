@@ -266,7 +266,6 @@ class PacketStream:
         return {key: scanner for key, scanner in scanners.items() if key in wanted}
 
     def _nothing(self) -> tuple[str, str]:
-        """Return why there is nothing to read, and a hint."""
         end = f" ({self._count.end})" if self._count.end else ""
         problem = f"no packets of a known scanner{end}: {self._shown_others(5) or 'no datagram'}"
         if self._unknown:

@@ -161,7 +161,6 @@ def _libraries(where: str) -> tuple[Any, Any]:
 
 
 def _hdl64(where: str, calibration: Path | None) -> Model:
-    """Return an HDL-64E with the calibration of its unit."""
     hint = "give --metadata FILE.yml; velodyne_decoder.hdl64e reads it from a capture of a minute"
     if calibration is None:
         raise InputError(

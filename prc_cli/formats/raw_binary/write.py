@@ -135,9 +135,6 @@ class RawStream(StreamWriter):
 
     def _close(self) -> None:
         self._handle.close()
-        self._config_temporary.write_text(self._config(), encoding="utf-8")
-
-    def _config(self) -> str:
         assert self._dtype is not None
         lines = [
             f"# reads {self.path.name}: "
@@ -154,7 +151,8 @@ class RawStream(StreamWriter):
             lines += [f"angle_start = {self._even[0]!r}", f"angle_step = {self._even[1]!r}"]
         if self.shape.down_rad is not None and not self.shape.registered:
             lines += [f"nadir = {float(np.rad2deg(self.shape.down_rad))!r}"]
-        return "\n".join([*lines, "", *_layout(self._dtype, f"points_per_line = {self._m}")])
+        lines += ["", *_layout(self._dtype, f"points_per_line = {self._m}")]
+        self._config_temporary.write_text("\n".join(lines), encoding="utf-8")
 
 
 def _layout(dtype: np.dtype[np.void], *keys: str) -> list[str]:

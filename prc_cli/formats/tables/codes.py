@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from prc_cli.core.classes import NO_CODE
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import I64
 from prc_cli.formats.labels import code_of_name, dimension_of_codes
-from prc_cli.formats.records import NO_CODE, CodeSource
+from prc_cli.formats.records import CodeSource
 from prc_cli.formats.tables.read import read_batches
 
 _DAMAGED = (OSError, ValueError, LookupError, MemoryError)

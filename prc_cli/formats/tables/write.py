@@ -18,8 +18,8 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
+from prc_cli.core.classes import NO_CODE
 from prc_cli.core.errors import OutputError
-from prc_cli.formats.records import NO_CODE
 from prc_cli.formats.writing.base import StreamItem, StreamShape, StreamWriter
 from prc_cli.formats.writing.rows import stream_rows
 

@@ -80,7 +80,8 @@ def read_head(lines: Sequence[tuple[int, str, list[str]]], n_columns: int) -> He
             )
             continue
         is_usual = bool(usual_names(stripped))
-        fits = len(stripped) in (n_columns, n_columns - 1) and any(map(_has_letters, stripped))
+        has_letters = any(letter.isalpha() for cell in stripped for letter in cell)
+        fits = len(stripped) in (n_columns, n_columns - 1) and has_letters
         if fits and (is_usual or (not has_mark(text) and not is_sure)):
             # write.table of R leaves out the name of the row names
             names = ("",) * (n_columns - len(stripped)) + tuple(stripped)
@@ -93,10 +94,6 @@ def read_head(lines: Sequence[tuple[int, str, list[str]]], n_columns: int) -> He
     ):
         return None
     return Head(names, names_line, lines[-1][0])
-
-
-def _has_letters(cell: str) -> bool:
-    return any(letter.isalpha() for letter in cell)
 
 
 def _unit(cell: str) -> str:

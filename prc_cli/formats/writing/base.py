@@ -15,12 +15,19 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from prc_cli.core.classes import LABEL_NAMES, MISSING_CODE, ClassCodes, Label, count_bytes, recode
+from prc_cli.core.classes import (
+    LABEL_NAMES,
+    MISSING_CODE,
+    NO_CODE,
+    ClassCodes,
+    Label,
+    count_bytes,
+    recode,
+)
 from prc_cli.core.errors import OutputError
 from prc_cli.core.files import discard, output_errors, place_all, temporary_name
 from prc_cli.core.stream import LabelledBlock, ScanBlock, StreamInfo
 from prc_cli.core.types import F64, I64, U8
-from prc_cli.formats.records import NO_CODE
 from prc_cli.formats.writing.columns import (
     HIGH_NOISE_CODE,
     Coordinates,
@@ -453,7 +460,6 @@ class ScatterWriter(StagedWriter):
         return n
 
     def _columns(self, total: int, chunk: int | None = None) -> Iterator[Columns]:
-        """Yield codes and optional columns of the output's records, in order, in chunks."""
         n = chunk or CHUNK_RECORDS
         first = 0
         end = total

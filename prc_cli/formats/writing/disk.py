@@ -137,7 +137,6 @@ class DiskColumn:
         return (rows ^ self._mask).view(self._dtype)[:, 0]
 
     def _flush(self) -> None:
-        """Write the pending records, page by page."""
         if not self._pending:
             return
         record, rows = (np.concatenate(parts) for parts in zip(*self._pending, strict=True))

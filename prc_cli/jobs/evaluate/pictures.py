@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from prc_cli.config import LoadedConfig, RunConfig, resolve
+from prc_cli.core.classes import NO_CODE
 from prc_cli.core.errors import PrcError
 from prc_cli.core.types import I64, U8
 from prc_cli.evaluation.html import class_colour
@@ -21,7 +22,6 @@ from prc_cli.evaluation.mapping import Side as SideName
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.records import NO_CODE
 from prc_cli.formats.writing.record import record_path
 from prc_cli.jobs.render.scan import open_for_pictures, upright
 from prc_cli.matching.join import CODE, KEY

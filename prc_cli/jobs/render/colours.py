@@ -15,13 +15,12 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from prc_cli.config import LoadedConfig, preset_of
-from prc_cli.core.classes import LABEL_COLOURS, LABEL_NAMES, ClassCodes, Label
+from prc_cli.core.classes import LABEL_COLOURS, LABEL_NAMES, NO_CODE, ClassCodes, Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import I64, U8, Mask
 from prc_cli.core.version import __version__
 from prc_cli.evaluation.mapping import ClassMapping, Side, load_mapping
 from prc_cli.formats.labels import open_codes
-from prc_cli.formats.records import NO_CODE
 from prc_cli.formats.writing.record import PROGRAM, record_path
 from prc_cli.imaging.pictures import (
     MISSING_COLOUR,

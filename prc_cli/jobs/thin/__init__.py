@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.config import LoadedConfig, RunConfig, refuse_window, resolve
-from prc_cli.core.classes import Label
+from prc_cli.core.classes import NO_CODE, Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import (
     atomic_outputs,
@@ -35,7 +35,6 @@ from prc_cli.formats.input import Input
 from prc_cli.formats.labels import NAMES, open_codes
 from prc_cli.formats.las.rewrite import check_copied, copy_las, read_las
 from prc_cli.formats.outputs import open_stream_writer, open_writer, outputs_of
-from prc_cli.formats.records import NO_CODE
 from prc_cli.formats.registry import format_of, is_bag
 from prc_cli.formats.writing.base import StreamItem
 from prc_cli.formats.writing.columns import LabelOutput

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.classes import NO_CODE, ClassCodes, Label
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ExtraReturns
 from prc_cli.core.types import F64, I64, Mask
-from prc_cli.formats.records import NO_CODE
 from prc_cli.formats.writing.base import StreamItem
 from prc_cli.formats.writing.columns import HIGH_NOISE_CODE
 
