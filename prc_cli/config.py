@@ -178,16 +178,8 @@ class MethodChoice:
         if not self.lacks:
             return ()
         # figures of `python -m benchmarks.contest`, photon-80
-        problem = f"prc chose PRC 2019 (F1 in streets 0.59, fused 0.96): {self.lacks}"
-        return (
-            Finding(
-                "method",
-                Verdict.DOUBTFUL,
-                problem,
-                "",
-                f"{self.give}; to keep PRC 2019: --preset urban",
-            ),
-        )
+        problem = f"{self.lacks}, so prc chose PRC 2019 (F1 in streets 0.59, fused 0.96)"
+        return (Finding("method", Verdict.DOUBTFUL, problem, "", self.give),)
 
     @property
     def assumption(self) -> Assumption:

@@ -20,7 +20,7 @@ from typing import Any
 import click
 
 from prc_cli.cli.guard import REPEATED_S, begin
-from prc_cli.core.errors import AFTER_SIGNAL, ExitCode, PrcError, printable, printable_lines
+from prc_cli.core.errors import AFTER_SIGNAL, ExitCode, PrcError, message, printable_lines
 from prc_cli.core.files import (
     drop_proofs,
     forget_placed,
@@ -143,7 +143,7 @@ def cli(debug: bool) -> None:
 
 
 def main(args: list[str] | None = None) -> None:
-    """Run the command line; errors of the package become one line and an exit code."""
+    """Run the command line; errors of the package become a message and an exit code."""
     arguments = sys.argv[1:] if args is None else args
     if args is None:
         is_guarded = begin(arguments, frozenset(COMMANDS))
@@ -187,7 +187,7 @@ def _run(arguments: list[str], *, debug: bool) -> int:
         sys.stdout.flush()
     except PrcError as error:
         failure = error
-        message = printable(str(error))
+        text = error.message()
         code = error.exit_code
     except click.ClickException as error:
         # click 8.2 and newer: the message is the whole help
@@ -195,26 +195,26 @@ def _run(arguments: list[str], *, debug: bool) -> int:
             error.show()
             return error.exit_code
         failure = error
-        message = printable(_usage_problem(error))
+        text = _usage_message(error)
         code = error.exit_code
     except MemoryError as error:
         failure = error
-        message = f"not enough memory for this input and these parameters; {left_words()}"
+        problem = "not enough memory for this input and these parameters"
+        text = message("error", f"{problem}; {left_words()}")
         code = ExitCode.FAILED
     except ImportError as error:
         failure = error
-        message = printable(
-            f"a package cannot be loaded ({error}); prc doctor checks the installation"
-        )
+        hint = "prc doctor checks the installation"
+        text = message("error", f"a package cannot be loaded ({error})", hint)
         code = ExitCode.FAILED
     except (click.Abort, KeyboardInterrupt) as error:
         failure = error
         take_back()
-        message = printable(f"interrupted; {left_words()}")
+        text = message("error", f"interrupted; {left_words()}")
         code = ExitCode.INTERRUPTED
     except OSError as error:
         failure = error
-        message = printable(_system_problem(error))
+        text = _system_message(error)
         code = ExitCode.FAILED
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 - else Python complains at exit
     else:
@@ -223,22 +223,25 @@ def _run(arguments: list[str], *, debug: bool) -> int:
         with contextlib.suppress(OSError):
             click.echo(printable_lines("".join(traceback.format_exception(failure))), err=True)
     with contextlib.suppress(OSError):
-        click.echo(f"error: {message}", err=True)
+        click.echo(text, err=True)
     return code
 
 
-def _usage_problem(error: click.ClickException) -> str:
-    """Return the message of click in one line, and the command that prints the help."""
+def _usage_message(error: click.ClickException) -> str:
     context: click.Context | None = getattr(error, "ctx", None)
     text = " ".join(error.format_message().split()).removesuffix(".")
     if context is None:
-        return text
+        return message("error", text)
     if isinstance(error, click.MissingParameter) and error.param is not None:
         needed = error.param.opts[0]
         if isinstance(error.param, click.Argument):
             needed = " ".join(context.command.collect_usage_pieces(context)[1:])
         text = f"{context.command_path} needs {needed}"
-    return f"{text}{' ' if text.endswith('?') else '; '}see {context.command_path} --help"
+    problem, _, advice = text.partition("; ")
+    manual = f"see {context.command_path} --help"
+    if advice:
+        manual = f"{advice}{'' if advice.endswith('?') else ';'} {manual}"
+    return message("error", problem, manual)
 
 
 _LIMITS = {
@@ -249,14 +252,15 @@ _LIMITS = {
 """Hints for limits of the system."""
 
 
-def _system_problem(error: OSError) -> str:
+def _system_message(error: OSError) -> str:
     """Return the message of a system error; without a file name it is the terminal or a pipe."""
     why = error.strerror or str(error)
     if error.errno in _LIMITS:
-        return f"{why}; {left_words()}; {_LIMITS[error.errno]}"
+        return message("error", f"{why}; {left_words()}", _LIMITS[error.errno])
     if error.filename is not None:
-        return f"{os.fsdecode(error.filename)}: {why}; check the file and its permissions"
-    return f"the result cannot be printed ({why})"
+        where = os.fsdecode(error.filename)
+        return message(f"error: {where}", why, "check the file and its permissions")
+    return message("error", f"the result cannot be printed ({why})")
 
 
 def _leave_on_signals() -> None:

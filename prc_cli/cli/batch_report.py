@@ -9,13 +9,13 @@ import stat
 import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from prc_cli.cli.report import console, results, table_of
-from prc_cli.core.errors import OutputError, printable
+from prc_cli.cli.report import accepting, console, results, table_of
+from prc_cli.core.errors import OutputError, message, printable
 from prc_cli.core.findings import is_doubt
 from prc_cli.core.version import __version__
 from prc_cli.evaluation.reports import percent
@@ -32,6 +32,7 @@ from prc_cli.jobs.batch.types import (
     Doubted,
     Entry,
     Failed,
+    Problem,
     Progress,
     Run,
     Started,
@@ -49,8 +50,13 @@ Keys are added without a new number, never renamed or taken away.
 
 def say(text: str) -> None:
     """Print a line on stderr, whatever names are in it, if anybody is there to read it."""
+    say_message(printable(text))
+
+
+def say_message(text: str) -> None:
+    """Print a message on stderr, whose lines are printable."""
     try:
-        sys.stderr.write(printable(text) + "\n")
+        sys.stderr.write(text + "\n")
         sys.stderr.flush()
     except (OSError, ValueError):  # else Python fails at exit
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
@@ -61,18 +67,18 @@ def tell(text: str) -> None:
     results().print(printable(text), soft_wrap=True)
 
 
-def _say_all(rows: Sequence[str]) -> None:
-    """Print the first of many lines on stderr."""
-    for row in rows[:SHOWN]:
-        say(row)
-    if len(rows) > SHOWN:
-        say(f"and {len(rows) - SHOWN} more, see summary.json")
+def _say_all(messages: Sequence[str]) -> None:
+    """Print the first of many messages on stderr."""
+    for text in messages[:SHOWN]:
+        say_message(text)
+    if len(messages) > SHOWN:
+        say(f"and {len(messages) - SHOWN} more, see summary.json")
 
 
 # -- words -----------------------------------------------------------------------------------
 
 
-def failed_words(event: Failed | Compared) -> str:
+def _problem_of(event: Failed | Compared) -> Problem:
     """Return why a file failed, with the name of the file once, as in the archive."""
     name = event.name
     problem = event.problem
@@ -82,11 +88,18 @@ def failed_words(event: Failed | Compared) -> str:
         where = name + position
     else:
         where = f"{name}: {problem.where}" if problem.where else name
-    return f"{where}: {problem.problem}" + (f"; {problem.hint}" if problem.hint else "")
+    return replace(problem, where=where)
 
 
-def _doubt_words(doubt: Doubted) -> str:
-    return f"warning {doubt.name}: {doubt.sentence} (to accept it: --accept-doubt {doubt.check})"
+def _doubt_of(doubt: Doubted) -> Problem:
+    """Return a warning about a file as a problem, whose hint also says how to accept it."""
+    problem, _, hint = doubt.sentence.partition("; ")
+    return Problem("warning", doubt.name, problem, accepting(doubt.check, hint))
+
+
+def _message(head: str, problem: Problem) -> str:
+    """Return a :func:`message` for a terminal."""
+    return message(f"{head} {problem.where}", problem.problem, problem.hint)
 
 
 def _now() -> str:
@@ -197,7 +210,7 @@ class Teller:
             self._done(event)
         elif isinstance(event, Failed):
             self._n_failed += 1
-            self._end(event.name, f"failed {failed_words(event)}")
+            self._end(event.name, "failed", _problem_of(event))
         elif isinstance(event, Started):
             self._lines[event.name] = 0
             if self._verbose:
@@ -205,7 +218,7 @@ class Teller:
         elif isinstance(event, Progress):
             self._lines[event.name] = self._lines.get(event.name, 0) + event.n_lines
         elif isinstance(event, Doubted):
-            self._say(_doubt_words(event))
+            self._say_problem("warning:", _doubt_of(event))
         elif isinstance(event, Alarm):
             self._say(f"alarm {event.name}: {event.sentence}")
         elif isinstance(event, Again) and not self._quiet:
@@ -240,12 +253,15 @@ class Teller:
             if not is_doubt(notice):  # warnings are printed separately
                 self._say(f"note {event.name}: {notice}")
 
-    def _end(self, name: str, text: str) -> None:
+    def _end(self, name: str, text: str, problem: Problem | None = None) -> None:
         self._n_ended += 1
         self._lines.pop(name, None)
         self._bar.update(self._sizes.get(name, 0))
-        if text:
-            self._say(f"[{self._n_ended}/{self._n_todo}] {text}" if self._n_todo else f"[-] {text}")
+        count = f"[{self._n_ended}/{self._n_todo}]" if self._n_todo else "[-]"
+        if problem is not None:
+            self._say_problem(f"{count} {text}", problem)
+        elif text:
+            self._say(f"{count} {text}")
 
     def _show(self) -> None:
         failed = f", {self._n_failed} failed" if self._n_failed else ""
@@ -260,6 +276,14 @@ class Teller:
     def _say(self, text: str) -> None:
         self._bar.clear()
         say(f"{_now()} {text}" if self._stamps else text)
+
+    def _say_problem(self, head: str, problem: Problem) -> None:
+        """Print a message of up to three lines, or one line with its time in a log."""
+        if self._stamps:
+            self._say(f"{head} {problem}")
+        else:
+            self._bar.clear()
+            say_message(_message(head, problem))
 
 
 def _check_log(path: Path) -> None:
@@ -361,7 +385,8 @@ class JsonLog:
             if not self._has_warned:
                 name = self._path or "stdout"
                 why = getattr(error, "strerror", None) or error
-                say(f"warning: {name}: the log cannot be written ({why}); the run goes on")
+                problem = f"the log cannot be written ({why}); the run continues"
+                say_message(message(f"warning: {name}", problem))
             self._has_warned = True
             if self._path is None:
                 sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 - else Python fails at exit
@@ -418,9 +443,12 @@ def print_end(
         return
     if not quiet:
         _print_classes(summary)
-        rows = [] if listed else [f"failed {failed_words(failure)}" for failure in summary.failed]
-        rows += [f"failed before {failed_words(failure)}" for failure in summary.failed_before]
-        _say_all([*rows, *(f"left out {file.name}: {file.reason}" for file in summary.left_out)])
+        failed = [] if listed else summary.failed
+        failed_before = summary.failed_before
+        messages = [_message("failed", _problem_of(failure)) for failure in failed]
+        messages += [_message("failed before", _problem_of(failure)) for failure in failed_before]
+        messages += [message(f"left out {file.name}", file.reason) for file in summary.left_out]
+        _say_all(messages)
         _print_doubts(summary)
         _print_compared(summary)
     if summary.evaluation is not None and not (quiet and summary.evaluation.passed):
@@ -515,7 +543,7 @@ def _print_compared(summary: BatchSummary) -> None:
             if item.name in names:
                 table.add_row(item.name, *(percent(getattr(item, score)) for score in CLASS_SCORES))
         results().print(table)
-    _say_all([f"not compared {failed_words(missing)}" for missing in evaluation.unpaired])
+    _say_all([_message("not compared", _problem_of(missing)) for missing in evaluation.unpaired])
 
 
 # -- the plan, and the state of an output folder ---------------------------------------------
@@ -562,7 +590,7 @@ def print_plan(plan: Plan, estimate: Estimate, *, verbose: bool) -> None:
     if len(shown) < len(plan.todo):
         tell(f"and {len(plan.todo) - len(shown):,} more; -v lists all")
     for refused in plan.refused:
-        tell(f"{'refused':<15} {failed_words(refused)}")
+        tell(f"{'refused':<15} {_problem_of(refused)}")
     for left in plan.left_out:
         tell(f"{'left out':<15} {left.name}: {left.reason}")
     states = _listed(
@@ -671,12 +699,13 @@ def print_status(
     for entry in wrong[:SHOWN]:
         tries = f", {count_of(entry.attempts, 'attempt')}" if entry.attempts > 1 else ""
         if isinstance(entry.outcome, Failed) and entry.state == "failed":
-            tell(f"failed {failed_words(entry.outcome)} ({entry.outcome.problem.kind}{tries})")
+            tell(f"failed {_problem_of(entry.outcome)} ({entry.outcome.problem.kind}{tries})")
         else:
             how = "running" if entry.owner in at_work else "interrupted"
             tell(f"{how} {entry.name} (since {_minute(entry.started)}{tries})")
     for doubt in doubts[:SHOWN]:
-        tell(_doubt_words(doubt))
+        how = f"to accept it: --accept-doubt {doubt.check}"
+        tell(f"warning {doubt.name}: {doubt.sentence} ({how})")
     n_more = max(len(wrong) - SHOWN, 0) + max(len(doubts) - SHOWN, 0)
     if n_more:
         tell(f"and {n_more:,} more; --json has all of them")

@@ -12,7 +12,7 @@ from prc_cli.cli.options import config_from, stream_options
 from prc_cli.cli.paths import READ
 from prc_cli.config import json_schema, load_config, preset_summaries, sample_summaries, to_toml
 from prc_cli.core.config import read_toml
-from prc_cli.core.errors import printable, printable_lines
+from prc_cli.core.errors import message, printable, printable_lines
 
 
 @click.group()
@@ -70,7 +70,7 @@ def check(file: Path) -> None:
         loaded.config.method == "prc"
         and (warning := unusual(loaded.config.prc.support)) is not None
     ):
-        click.echo(f"warning: {warning}", err=True)
+        click.echo(message("warning", warning, "set zeta_s >= zeta_p"), err=True)
 
 
 @config.command()

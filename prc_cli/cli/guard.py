@@ -1,7 +1,7 @@
 """Runs a command in a child process, which a small parent watches.
 
 Libraries that decode foreign files may end the process: by a stack overflow, a wrong address or an
-abort. Then the parent removes temporary files, prints one line, and ends with exit code 1. The
+abort. Then the parent removes temporary files, prints a message, and ends with exit code 1. The
 parent forks before it has threads or large libraries. It passes signals on, and ends with the exit
 code of the child.
 
@@ -21,14 +21,14 @@ import threading
 import time
 from pathlib import Path
 
-from prc_cli.core.errors import AFTER_SIGNAL, ExitCode, printable
+from prc_cli.core.errors import AFTER_SIGNAL, ExitCode, message
 from prc_cli.core.process import STEP_CPU_S, hold_limits
 
 SWITCH = "PRC_GUARD"
 """Environment variable; 0 = no child process, for debuggers."""
 UNGUARDED = frozenset({"completion", "config", "demo", "doctor", "simulate"})
 """Commands that decode no foreign files."""
-LAST_PRINTED = 300
+LAST_PRINTED = 110
 """Length of the last output of a crashed library in the message [bytes]."""
 MOST_NAMED = 2
 """Largest number of files in the message."""
@@ -162,7 +162,7 @@ def _exit_code(
     """Return the exit code for the status of the child; after a crash print it and clean up."""
     said = _read(printed)
     if "--debug" in arguments and said:
-        _print(said.decode("utf-8", "replace"))
+        _print(said.decode("utf-8", "replace").rstrip("\n"))
     if not os.WIFSIGNALED(status):
         for note in _read(notes).split(b"\0"):
             # files that mark a killed run: this one has ended
@@ -174,7 +174,7 @@ def _exit_code(
     left = _clean_up(_read(notes))
     name = _name(number)
     if killed and number == signal.SIGKILL:
-        _print(f"error: interrupted; {left}\n")
+        _print(message("error", f"interrupted; {left}"))
         return AFTER_SIGNAL + sent[0]
     if number in sent:  # it met the signal when it had already ended its work for the same one
         return AFTER_SIGNAL + number
@@ -183,11 +183,11 @@ def _exit_code(
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {number})
         os.kill(os.getpid(), number)
         return AFTER_SIGNAL + number
-    _print(f"error: {_message(number, name, arguments, said, left)}\n")
+    _print(_crash_message(number, name, arguments, said, left))
     return ExitCode.FAILED
 
 
-def _message(
+def _crash_message(
     number: int,
     name: str,
     arguments: list[str],
@@ -199,16 +199,15 @@ def _message(
         f" and {len(named) - MOST_NAMED} more" * (len(named) > MOST_NAMED)
     )
     last = " ".join(said[-LAST_PRINTED:].decode("utf-8", "replace").split())
-    problem = (
-        f"the process that read it was ended by signal {number} ({name})"
-        + f"; it said: {last}" * bool(last)
-    )
+    problem = f"the process that read it was ended by signal {number} ({name})"
+    said_last = f"it printed: {last}; " if last else ""
     hint = "the file is damaged or malicious: copy it again, or check where it comes from"
     if number == signal.SIGKILL:
         hint = "probably too little memory: use fewer --threads or --jobs"
     elif number == signal.SIGXCPU:
         problem = f"decoding it made no progress in {STEP_CPU_S} s of processor time"
-    return printable(f"{where or arguments[0]}: {problem}; {left}; {hint}")
+        said_last = ""
+    return message(f"error: {where or arguments[0]}", f"{problem}; {said_last}{left}", hint)
 
 
 def _name(number: int) -> str:
@@ -249,4 +248,4 @@ def _clean_up(notes: bytes) -> str:
 
 def _print(text: str) -> None:
     with contextlib.suppress(OSError):
-        os.write(2, text.encode("utf-8", "backslashreplace"))
+        os.write(2, f"{text}\n".encode("utf-8", "backslashreplace"))

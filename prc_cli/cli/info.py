@@ -102,7 +102,7 @@ def info(
                 )
                 code = max(code, print_doubts(doubted))
         except PrcError as error:
-            click.echo(f"error: {printable(str(error))}", err=True)
+            click.echo(error.message(), err=True)
             reports.append({"path": str(path), "error": str(error), "classifiable": False})
             code = max(code, error.exit_code)
             continue

@@ -20,7 +20,7 @@ from rich.table import Table
 from rich.text import Text
 
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.errors import ExitCode, printable, printable_lines
+from prc_cli.core.errors import ExitCode, message, printable, printable_lines
 from prc_cli.core.findings import is_doubt
 from prc_cli.core.profile import Profile, StageTime, peak_memory
 
@@ -107,13 +107,21 @@ class LineBar:
         self._share = share if share >= self._share else 0.0
 
 
+def accepting(check: str, hint: str) -> str:
+    """Return a hint, and the option that accepts a warning.
+
+    >>> accepting("units", "check -M")
+    'check -M; or --accept-doubt units'
+    """
+    return f"{hint}{'; or ' if hint else ''}--accept-doubt {check}"
+
+
 def print_doubts(doubts: Iterable[Finding]) -> ExitCode:
     """Print every warning on stderr, also with ``--quiet``; return the exit code."""
     code = ExitCode.DONE
     for doubt in doubts:
-        insist = f"accept it with --accept-doubt {doubt.check}"
-        text = f"warning: {doubt.sentence()}; {'or ' if doubt.hint else ''}{insist}"
-        click.echo(printable(text), err=True)
+        hint = accepting(doubt.check, doubt.hint)
+        click.echo(message(f"warning: {doubt.check}", doubt.problem, hint), err=True)
         code = ExitCode.LOOK
     return code
 

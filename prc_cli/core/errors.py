@@ -1,11 +1,13 @@
 """Exceptions of the package, its exit codes, and text that a terminal can show.
 
-An exception says where, what was found against what was expected, and what to do. The command line
-catches :class:`PrcError` once and turns it into one line and an :class:`ExitCode`.
+An exception says where, what was found against what was expected, and what to do. In logs, JSON and
+tables it is one line. The command line catches :class:`PrcError` once, prints its :func:`message`
+of at most three lines, and ends with its :class:`ExitCode`.
 """
 
 from __future__ import annotations
 
+import re
 from enum import IntEnum
 
 AFTER_SIGNAL = 128
@@ -34,15 +36,47 @@ class ExitCode(IntEnum):
     """SIGTERM."""
 
 
+_REASON = re.compile(r"; |, (?=expected |so )")
+"""Divides what is wrong from the reason."""
+
+
+def message(head: str, problem: str, hint: str = "") -> str:
+    """Return a message for a terminal: what is wrong, why, and what to do, a line each.
+
+    Parameters
+    ----------
+    head : str
+        ``error`` or ``warning``, and where: a file, a check.
+    problem : str
+        What is wrong; after a semicolon, or from *expected* or *so* on, the reason or the result.
+    hint : str
+        What to do; empty if nothing is known.
+
+    Examples
+    --------
+    >>> print(message("warning: units", "the scanner is 6.6 m high, expected at most 5 m", "-M 20"))
+    warning: units: the scanner is 6.6 m high
+      expected at most 5 m
+      hint: -M 20
+    >>> message("error: drive.laz", "is cut short")
+    'error: drive.laz: is cut short'
+    """
+    fault, *reason = _REASON.split(problem, maxsplit=1)
+    lines = [f"{head}: {fault}", *(f"  {text}" for text in reason)]
+    if hint:
+        lines.append(f"  hint: {hint}")
+    return "\n".join(printable(line) for line in lines)
+
+
 class PrcError(Exception):
-    """Base of all errors of this package; its message is one line.
+    """Base of all errors of this package; as a string it is one line.
 
     Parameters
     ----------
     where : str
         File, position in it, or configuration key.
     problem : str
-        What was found against what was expected.
+        What was found against what was expected; a reason follows after a semicolon.
     hint : str
         What to do next, as something that can be typed or checked.
     """
@@ -58,6 +92,10 @@ class PrcError(Exception):
     def __reduce__(self) -> tuple[type[PrcError], tuple[str, str, str]]:
         # the message is composed, so pickling (to worker processes) must keep the parts
         return type(self), (self.where, self.problem, self.hint)
+
+    def message(self) -> str:
+        """Return the :func:`message` for a terminal."""
+        return message(f"error: {self.where}", self.problem, self.hint)
 
 
 class InputError(PrcError):

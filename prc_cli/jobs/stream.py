@@ -215,7 +215,6 @@ def _write(sink: ByteSink, codes: U8) -> None:
             problem = (
                 "its reader has gone" if gone else f"cannot be written ({error.strerror or error})"
             )
-            raise OutputError(
-                "stdout", problem, "the labels of earlier shots are written"
-            ) from error
+            kept = "the labels of earlier shots are written"
+            raise OutputError("stdout", f"{problem}; {kept}") from error
         data = data[n_written or 0 :]

@@ -58,10 +58,7 @@ MADE_UP_RAD = (0.1, math.pi - 0.1)
 KEY = "input.nadir"
 ANGLES = "input.angles"
 MEASURED = f"--set {ANGLES}=measured"
-_ANGLES_ALONE = (
-    "the scan angles (--set input.angle_start=DEG --set input.angle_step=DEG) "
-    "and --set input.nadir=DEG"
-)
+_ANGLES_ALONE = "the angles input.angle_start, input.angle_step and input.nadir"
 _ARRAY = "array"
 
 
@@ -472,14 +469,10 @@ class BeamFinder:
         has = self.info.dimensions
         if has and not set(has) >= set(XYZ):
             return []
-        ways = ["--range origin:X,Y,Z (place of the scanner)"]
+        ways = ["--range origin:X,Y,Z"]
         if not has or "time" in has:
             ways.insert(0, "--range trajectory:FILE")
-        return (
-            ways
-            if origin_only
-            else ["--range sensor-xyz if x, y, z are relative to the scanner", *ways]
-        )
+        return ways if origin_only else ["--range sensor-xyz", *ways]
 
 
 def with_beams(stream: ScanStream, config: InputConfig) -> Stream:

@@ -264,9 +264,8 @@ def admit_lines(
         offset = state.offset or 0
         problem = f"goes back from {before[i] + offset} to {line[i] + offset} at record {record[i]}"
         hint = (
-            "split the file there, give --lines angle-wrap or --lines time:HZ, or, "
-            "where its times go back as well, --sort-by-time; "
-            "--trust-order leaves such records unclassified"
+            "split the file there, or give --lines angle-wrap, or --lines time:HZ, "
+            "or --sort-by-time; --trust-order leaves such records unclassified"
         )
         raise OrderError(
             rules.where, f"{problem}; expected lines in the order they were scanned", hint

@@ -59,9 +59,9 @@ _FIRED = frozenset(("range", "scan_line", "column", "angle", "time"))
 """Dimensions that tell of the shots."""
 LOST = "the file has no times, scan lines or ranges, so the order of the shots is lost"
 LOST_HINT = (
-    "classify the raw drive and copy its labels (prc transfer); "
+    "classify the raw drive, then prc transfer; "
     "if x, y, z are relative to the scanner: --lines elevation:DEG --range sensor-xyz; "
-    "if the points are in the order of the shots: --trust-order"
+    "if the shots are in order: --trust-order"
 )
 
 
@@ -364,7 +364,8 @@ def trusting(source: Source | None, config: InputConfig) -> InputConfig:
     return config.model_copy(update={"order": "trust"})
 
 
-MEASURED = " measures the rates and prints the command; or "
+_IN_BRACKETS = re.compile(r" \([^)]*\)")
+MEASURED = " measures the rates; or "
 """Where a hint names ``prc info``; what follows is the rest of the hint."""
 
 
@@ -384,8 +385,10 @@ def _all_missing(source: Source, missing: list[InputError], config: InputConfig)
         problem = f"prc does not know these columns: {', '.join(source.dimensions[:12])}"
         hint = "name them in a layout (--layout FILE)"
         return _with_draft(source, InputError(source.path, problem, hint))
-    problem = "; ".join(error.problem for error in missing)
-    hint = "; ".join(error.hint for error in missing)
+    faults = ", ".join(error.problem.partition(":")[0] for error in missing)
+    lacks_range = missing[-1].problem.partition(": ")[2]
+    problem = f"{faults}; {lacks_range}"
+    hint = _IN_BRACKETS.sub("", "; ".join(error.hint for error in missing))
     if only_times_tell(source):
         is_sorted = " --sort-by-time" if config.order == "sort-time" else ""
         hint = f"prc info {source.path}{is_sorted}{MEASURED}{hint}"

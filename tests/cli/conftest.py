@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from prc_cli.cli import main, report
+from tests.messages import check_messages, folded
 from tests.patience import HANGS_S
 
 
@@ -15,7 +16,7 @@ def no_word_about_compiling(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Result:
-    """Exit code and what was printed."""
+    """Exit code and what was printed; a message on stderr is one line, as in logs."""
 
     def __init__(self, code: int, out: str, err: str) -> None:
         self.code = code
@@ -34,8 +35,9 @@ class Prc:
         with pytest.raises(SystemExit) as stop:
             main([str(argument) for argument in arguments])
         captured = self._capsys.readouterr()
+        check_messages(captured.err)
         code = stop.value.code
-        return Result(int(code) if code is not None else 0, captured.out, captured.err)
+        return Result(int(code) if code is not None else 0, captured.out, folded(captured.err))
 
 
 @pytest.fixture

@@ -32,13 +32,14 @@ from prc_cli.jobs.batch.types import (
     Problem,
 )
 from tests import patience
+from tests.messages import check_messages, folded
 from tests.street import street, write_csv, write_npz
 
 PRC = [sys.executable, "-m", "prc_cli"]
 
 
 class Result:
-    """Exit code and what was printed."""
+    """Exit code and what was printed; a message on stderr is one line, as in logs."""
 
     def __init__(self, code: int, out: str, err: str) -> None:
         self.code = code
@@ -56,7 +57,8 @@ def prc(capsys: pytest.CaptureFixture[str]) -> Run:
         with pytest.raises(SystemExit) as stop:
             main(["batch", *map(str, arguments)])
         captured = capsys.readouterr()
-        return Result(int(stop.value.code or 0), captured.out, captured.err)
+        check_messages(captured.err)
+        return Result(int(stop.value.code or 0), captured.out, folded(captured.err))
 
     return call
 
@@ -389,7 +391,7 @@ def test_doubts_are_told_quiet_or_not(
 ) -> None:
     play(replace(done("a.laz"), notices=("a note", "doubt units: odd; check the unit")), DOUBTED)
     result = prc("a", "o", "--log-json", "log", *options)
-    warning = "warning a.laz: units: odd; check the unit (to accept it: --accept-doubt units)"
+    warning = "warning: a.laz: units: odd; check the unit; or --accept-doubt units"
     assert result.err.splitlines().count(warning) == 1
     assert "1 done, 1 with warnings of 1 in 10.0 s" in result.err
     assert "note a.laz: doubt" not in result.err

@@ -16,6 +16,7 @@ from prc_cli.cli import COMMANDS, guard
 from tests import patience
 from tests.fuzz.crafted import huge_page, overflowing
 from tests.fuzz.seeds import seed
+from tests.messages import folded
 from tests.patience import HANGS_S
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the guard is for Linux")
@@ -70,12 +71,12 @@ def test_a_signal_becomes_a_line(tmp_path: Path, number: signal.Signals) -> None
     (tmp_path / "a\x1b.laz").touch()
     ended = crashed(number, "classify", tmp_path / "a\x1b.laz", tmp_path / "o.laz")
     assert ended.returncode == 1
-    first, line, *rest = ended.stderr.splitlines()
+    first, line, *rest = folded(ended.stderr).splitlines()
     assert (first, rest) == ("from Python", [])
     assert line.startswith(
         f"error: {tmp_path}/a\\x1b.laz: the process that read it was ended by signal {int(number)}"
     )
-    assert "it said: thread overflowed\\x1b[2J its stack; no output was left behind; " in line
+    assert "it printed: thread overflowed\\x1b[2J its stack; no output was left behind; " in line
     assert ("too little memory" in line) == (number == signal.SIGKILL)
     assert os.listdir(tmp_path) == ["a\x1b.laz"]
     assert not Path(ended.stdout.strip()).exists()
@@ -113,7 +114,7 @@ def test_laz_made_to_end_a_process(tmp_path: Path, words: tuple[str, ...]) -> No
         # a busy machine is told that loading takes long
         (line,) = [
             message
-            for message in ended.stderr.splitlines()
+            for message in folded(ended.stderr).splitlines()
             if not message.startswith("loading the classifier")
         ]
         assert line.startswith(f"error: {case}: the process that read it was ended by signal")
@@ -131,7 +132,7 @@ def test_a_panic_of_a_library_is_not_shown(tmp_path: Path) -> None:
     case = tmp_path / "a.laz"
     case.write_bytes(sound[:1700] + b"\xff" * 1400 + sound[3100:])
     ended = prc("convert", case, tmp_path / "o.las")
-    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
+    assert (ended.returncode, folded(ended.stderr).count("\n")) == (1, 1)
     assert ended.stderr.startswith(f"error: {case}: ")
 
 
@@ -224,7 +225,7 @@ def test_a_library_that_never_returns_ends_all_the_same(
         _, said = process.communicate()
         assert (process.returncode, said) == (
             128 + numbers[0],
-            b"error: interrupted; no output was left behind\n",
+            b"error: interrupted\n  no output was left behind\n",
         )
 
 
@@ -236,8 +237,8 @@ def test_a_step_has_a_limit_of_processor_time(tmp_path: Path) -> None:
         command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}
     )
     said = (
-        f"error: {tmp_path}/a.db3: decoding it made no progress in 1 s of processor time; no "
-        "output was left behind"
+        f"error: {tmp_path}/a.db3: decoding it made no progress in 1 s of processor time\n"
+        "  no output was left behind\n"
     )
     assert (ended.returncode, ended.stderr.startswith(said)) == (1, True), ended.stderr
 
@@ -248,7 +249,7 @@ def test_a_page_that_says_two_gigabytes_is_one_line(tmp_path: Path) -> None:
     ended = prc(
         "evaluate", path, path, "--predicted-dimension", "range", "--reference-dimension", "range"
     )
-    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1), ended.stderr
+    assert (ended.returncode, folded(ended.stderr).count("\n")) == (1, 1), ended.stderr
     assert f"{path}: record 0 and on cannot be read (malloc of size" in ended.stderr
 
 

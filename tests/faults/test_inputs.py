@@ -31,6 +31,7 @@ from tests.faults.harness import (
     tree,
 )
 from tests.faults.test_kills import release, run_into
+from tests.messages import folded
 from tests.patience import dead_process
 
 pytestmark = pytest.mark.slow
@@ -276,7 +277,7 @@ def test_a_disk_that_becomes_read_only_keeps_what_it_has(few: Archive, tmp_path:
         change(disk, "ro")
         code, said = Batch(few.folder, out, few.config).end()
         assert code == 1, said
-        (line,) = [line for line in said.splitlines() if line.startswith("error: ")]
+        (line,) = [line for line in folded(said).splitlines() if line.startswith("error: ")]
         assert "ead-only file system" in line
         assert tree(out) == before
         status = patience.run(
@@ -345,7 +346,7 @@ def test_a_lost_or_damaged_journal_costs_no_output_and_no_work(
     journal.write_bytes(b"SQLite format 3\0" + os.urandom(journal.stat().st_size))
     code, said = Batch(few.folder, out, few.config).end()
     assert code == 1, said
-    (line,) = [line for line in said.splitlines() if line.startswith("error: ")]
+    (line,) = [line for line in folded(said).splitlines() if line.startswith("error: ")]
     assert "is no whole journal" in line
     assert "--adopt" in line
     journal.rename(journal.with_suffix(".damaged"))

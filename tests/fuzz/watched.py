@@ -19,6 +19,7 @@ from typing import Any
 
 from prc_cli.kernels import load_kernels
 from tests.fuzz.targets import arguments
+from tests.messages import folded
 
 LIMIT_S = 10.0
 """A command that takes more processor time hangs [s]."""
@@ -107,7 +108,7 @@ class WatchedWorker:
         if command[0] == "read":
             command = ("info", "{case}")
         ended, left = self._end_of(command, case)
-        lines = ended.stderr.decode("utf-8", "replace").splitlines()
+        lines = folded(ended.stderr.decode("utf-8", "replace")).splitlines()
         if (
             ended.returncode in (1, 2)
             and len(lines) == 1

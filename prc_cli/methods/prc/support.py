@@ -76,15 +76,14 @@ def unusual(params: SupportParams) -> str | None:
     >>> unusual(SupportParams()), unusual(SupportParams(zeta_s=0.1, zeta_p=0.1))
     (None, None)
     >>> unusual(SupportParams(zeta_s=0.1))
-    'prc.support.zeta_s = 0.1 m is below zeta_p = 1 m: zeta_s >= zeta_p is advisable, as shots of
-    adjacent lines lie farther apart than shots of one line'
+    'prc.support.zeta_s = 0.1 m is below zeta_p = 1 m; shots of adjacent lines are farther apart
+    than shots of one line'
     """
     if params.zeta_s >= params.zeta_p:
         return None
     return (
-        f"prc.support.zeta_s = {params.zeta_s:g} m is below zeta_p = {params.zeta_p:g} m: "
-        "zeta_s >= zeta_p is advisable, "
-        "as shots of adjacent lines lie farther apart than shots of one line"
+        f"prc.support.zeta_s = {params.zeta_s:g} m is below zeta_p = {params.zeta_p:g} m; "
+        "shots of adjacent lines are farther apart than shots of one line"
     )
 
 
