@@ -13,13 +13,17 @@ from typing import TypeAlias
 
 from benchmarks.contest_data import ROOT
 from prc_cli.cli import main
+from tests.messages import folded
 
 Runner: TypeAlias = Callable[[list[str]], tuple[int, str]]
 """Arguments to exit code and stderr."""
 
 
 def in_process(arguments: list[str]) -> tuple[int, str]:
-    """Run the command line in this process; return its exit code and stderr."""
+    """Run the command line in this process.
+
+    Return its exit code and stderr, every message in one line.
+    """
     said = io.StringIO()
     is_main = threading.current_thread() is threading.main_thread()
     handlers = {
@@ -34,14 +38,14 @@ def in_process(arguments: list[str]) -> tuple[int, str]:
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
-    return code, said.getvalue()
+    return code, folded(said.getvalue())
 
 
 def in_own_process(arguments: list[str]) -> tuple[int, str]:
     """Run the command line as a shell does."""
     command = [sys.executable, "-m", "prc_cli", *arguments]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    return done.returncode, done.stderr
+    return done.returncode, folded(done.stderr)
 
 
 CHILD = """

@@ -6,10 +6,10 @@ import re
 
 MOST_LINES = 3
 LONGEST_LINE = 160
-"""Longest line of a message, without the paths in it [characters]."""
+"""Longest line of a message, without paths and lists of choices [characters]."""
 _FIRST = re.compile(r"(error|warning): |(\[[-\d/]+\] )?(failed|not compared|left out) ")
 _NEXT = re.compile(r"  \S")
-_PATH = re.compile(r"\S*/\S*")
+_AS_LONG_AS_IT_IS = re.compile(r"\S*/\S*|(?<= one of).*")
 
 
 def messages(err: str) -> list[list[str]]:
@@ -29,7 +29,7 @@ def check_messages(err: str) -> None:
         if _FIRST.match(lines[0]):
             assert len(lines) <= MOST_LINES, lines
             for line in lines:
-                assert len(_PATH.sub("", line)) <= LONGEST_LINE, line
+                assert len(_AS_LONG_AS_IT_IS.sub("", line)) <= LONGEST_LINE, line
 
 
 def folded(err: str) -> str:
@@ -42,7 +42,7 @@ def folded(err: str) -> str:
     for first, *others in messages(err):
         text += first
         for line in others:
-            divider = ", " if line.startswith(("  expected ", "  so ")) else "; "
+            divider = ", " if re.match(r"  (expected|so)\b", line) else "; "
             text += divider + line.strip().removeprefix("hint: ")
         text += "\n"
     return text

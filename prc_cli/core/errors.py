@@ -36,7 +36,7 @@ class ExitCode(IntEnum):
     """SIGTERM."""
 
 
-_REASON = re.compile(r"; |, (?=expected |so )")
+_REASON = re.compile(r"; |, (?=expected\b|so )")
 """Divides what is wrong from the reason."""
 
 
@@ -54,10 +54,10 @@ def message(head: str, problem: str, hint: str = "") -> str:
 
     Examples
     --------
-    >>> print(message("warning: units", "the scanner is 6.6 m high, expected at most 5 m", "-M 20"))
-    warning: units: the scanner is 6.6 m high
-      expected at most 5 m
-      hint: -M 20
+    >>> print(message("error: out", "is a folder, expected a file name", "name the file inside it"))
+    error: out: is a folder
+      expected a file name
+      hint: name the file inside it
     >>> message("error: drive.laz", "is cut short")
     'error: drive.laz: is cut short'
     """

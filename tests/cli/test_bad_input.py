@@ -14,6 +14,7 @@ import laspy
 import numpy as np
 import pytest
 
+from prc_cli.cli import main
 from prc_cli.formats.writing.base import StagedWriter
 from tests import patience
 from tests.cli.conftest import Prc
@@ -79,6 +80,17 @@ def test_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
         assert os.listdir(small) == []
     finally:
         patience.run(["umount", str(small)], check=True)
+
+
+def test_a_message_has_a_line_for_the_fault_the_reason_and_the_hint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_npz(tmp_path / "drive.npz", street())
+    with pytest.raises(SystemExit):
+        main(["classify", "drive.npz", "."])
+    message = "error: .: is a folder\n  expected a file name\n  hint: name the file inside it\n"
+    assert capsys.readouterr().err == message
 
 
 def test_names_with_control_characters_stay_on_one_line(prc: Prc, tmp_path: Path) -> None:
