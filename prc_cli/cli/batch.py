@@ -23,6 +23,7 @@ from prc_cli.cli.options import (
     output_options,
     stream_options,
 )
+from prc_cli.cli.output import print_json
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, WRITTEN_TEXT
 from prc_cli.core.errors import ConfigError, ExitCode, PrcError
 from prc_cli.core.files import atomic_output, read_own, remove_stale
@@ -322,7 +323,7 @@ def status(out: Path, as_json: bool, verify: bool) -> None:
     verified = tuple(verify_outputs(out)) if verify else ()
     if as_json:
         more = {"verified": [asdict(item) for item in verified]} if verify else {}
-        click.echo(json.dumps(status_dict(entries, runs, owners) | more, indent=1))
+        print_json(status_dict(entries, runs, owners) | more, indent=1)
     else:
         print_status(out, entries, runs, owners)
         if verify:
@@ -403,7 +404,7 @@ def clean(
             "kept": [str(path) for path in cleaned.kept],
             "dry_run": dry_run,
         }
-        click.echo(json.dumps(table, indent=1))
+        print_json(table, indent=1)
     else:
         print_cleaned(cleaned, dry_run=dry_run)
 
@@ -420,7 +421,7 @@ def _run(options: dict[str, Any], typed: Sequence[str]) -> None:
     if options["as_json"]:
         from prc_cli.jobs.batch.report import as_dict
 
-        click.echo(json.dumps(as_dict(summary), indent=1, allow_nan=False))
+        print_json(as_dict(summary), indent=1, allow_nan=False)
     click.get_current_context().exit(summary.exit_code)
 
 
@@ -436,7 +437,7 @@ def _verify(out: Path, *, as_json: bool, quiet: bool) -> None:
 
     outputs = tuple(verify_outputs(out))
     if as_json:
-        click.echo(json.dumps([asdict(output) for output in outputs], indent=1))
+        print_json([asdict(output) for output in outputs], indent=1)
     else:
         print_verified(out, outputs, quiet=quiet)
     click.get_current_context().exit(_verified_code(outputs))
@@ -507,7 +508,7 @@ def _dry_run(settings: BatchSettings, options: dict[str, Any]) -> None:
     _engine(options, say)  # checks the options
     plan, estimate = plan_batch(settings)
     if options["as_json"]:
-        click.echo(json.dumps(plan_dict(plan, estimate), indent=1, allow_nan=False))
+        print_json(plan_dict(plan, estimate), indent=1, allow_nan=False)
     else:
         print_plan(plan, estimate, verbose=options["verbose"])
 

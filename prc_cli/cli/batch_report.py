@@ -14,7 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from prc_cli.cli.report import accepting, console, results, table_of
+from prc_cli.cli.output import console, print_result, results, table_of
+from prc_cli.cli.report import accepting
 from prc_cli.core.errors import OutputError, message, printable
 from prc_cli.core.findings import is_doubt
 from prc_cli.core.version import __version__
@@ -60,11 +61,6 @@ def say_message(text: str) -> None:
         sys.stderr.flush()
     except (OSError, ValueError):  # else Python fails at exit
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
-
-
-def tell(text: str) -> None:
-    """Print a line on stdout."""
-    results().print(printable(text), soft_wrap=True)
 
 
 def _say_all(messages: Sequence[str]) -> None:
@@ -534,7 +530,7 @@ def _print_compared(summary: BatchSummary) -> None:
             table.add_row(printable(name), f"{matrix.n_scored:,}", *cells, percent(matrix.accuracy))
         results().print(table)
         if len(compared) > SHOWN:
-            tell(
+            print_result(
                 f"the {SHOWN} of {len(compared)} files with the lowest accuracy; "
                 "all are in summary.json"
             )
@@ -583,16 +579,16 @@ def print_plan(plan: Plan, estimate: Estimate, *, verbose: bool) -> None:
     for item in shown:
         name = item.task.name
         output = item.task.output.name
-        tell(
+        print_result(
             f"{item.reason:<15} {name}"
             + ("" if name.rpartition("/")[2] == output else f" -> {output}")
         )
     if len(shown) < len(plan.todo):
-        tell(f"and {len(plan.todo) - len(shown):,} more; -v lists all")
+        print_result(f"and {len(plan.todo) - len(shown):,} more; -v lists all")
     for refused in plan.refused:
-        tell(f"{'refused':<15} {_problem_of(refused)}")
+        print_result(f"{'refused':<15} {_problem_of(refused)}")
     for left in plan.left_out:
-        tell(f"{'left out':<15} {left.name}: {left.reason}")
+        print_result(f"{'left out':<15} {left.name}: {left.reason}")
     states = _listed(
         [
             (len(plan.done), "done already"),
@@ -601,14 +597,14 @@ def print_plan(plan: Plan, estimate: Estimate, *, verbose: bool) -> None:
             (plan.n_not_selected, "not selected"),
         ]
     )
-    tell(
+    print_result(
         f"{count_of(len(plan.todo), 'file')} to do ({size_of(plan.n_bytes)})"
         + (f", {states}" if states else "")
     )
     if not plan.todo:
         return
     for source in estimate.sources:
-        tell(source)
+        print_result(source)
     seconds = (
         "an unknown time" if estimate.seconds is None else f"about {duration(estimate.seconds)}"
     )
@@ -622,7 +618,7 @@ def print_plan(plan: Plan, estimate: Estimate, *, verbose: bool) -> None:
         if estimate.n_unknown
         else ""
     )
-    tell(f"estimate: {seconds}, {memory} of memory{unknown}; nothing was written")
+    print_result(f"estimate: {seconds}, {memory} of memory{unknown}; nothing was written")
 
 
 def status_dict(
@@ -680,11 +676,11 @@ def print_status(
             (len({doubt.name for doubt in doubts}), "with warnings"),
         ]
     )
-    tell(f"{out}: {count_of(len(entries), 'file')}: {states}")
+    print_result(f"{out}: {count_of(len(entries), 'file')}: {states}")
     for owner in sorted(at_work):
-        tell(f"running now: {owner}")
+        print_result(f"running now: {owner}")
     if not at_work:
-        tell("no run is active")
+        print_result("no run is active")
     table = table_of(
         "last runs", "start (UTC)", "shard", "version", "exit code", "counts", n_words=5
     )
@@ -699,16 +695,18 @@ def print_status(
     for entry in wrong[:SHOWN]:
         tries = f", {count_of(entry.attempts, 'attempt')}" if entry.attempts > 1 else ""
         if isinstance(entry.outcome, Failed) and entry.state == "failed":
-            tell(f"failed {_problem_of(entry.outcome)} ({entry.outcome.problem.kind}{tries})")
+            print_result(
+                f"failed {_problem_of(entry.outcome)} ({entry.outcome.problem.kind}{tries})"
+            )
         else:
             how = "running" if entry.owner in at_work else "interrupted"
-            tell(f"{how} {entry.name} (since {_minute(entry.started)}{tries})")
+            print_result(f"{how} {entry.name} (since {_minute(entry.started)}{tries})")
     for doubt in doubts[:SHOWN]:
         how = f"to accept it: --accept-doubt {doubt.check}"
-        tell(f"warning {doubt.name}: {doubt.sentence} ({how})")
+        print_result(f"warning {doubt.name}: {doubt.sentence} ({how})")
     n_more = max(len(wrong) - SHOWN, 0) + max(len(doubts) - SHOWN, 0)
     if n_more:
-        tell(f"and {n_more:,} more; --json has all of them")
+        print_result(f"and {n_more:,} more; --json has all of them")
 
 
 def _minute(stamp: str) -> str:
@@ -724,10 +722,10 @@ def print_verified(out: Path, outputs: Sequence[Verified], *, quiet: bool) -> No
     """Print which outputs are not as they were written, on stdout."""
     wrong = [output for output in outputs if output.state != "whole"]
     for output in wrong:
-        tell(f"{output.state:<8} {output.name}: {output.why}")
+        print_result(f"{output.state:<8} {output.name}: {output.why}")
     if wrong or not quiet:
         hint = "; the next prc batch repeats the others" if wrong else ""
-        tell(
+        print_result(
             f"{out}: {len(outputs) - len(wrong):,} of {count_of(len(outputs), 'output')} "
             f"whole{hint}"
         )
@@ -737,16 +735,16 @@ def print_cleaned(cleaned: Cleaned, *, dry_run: bool) -> None:
     """Print what was removed, on stdout."""
     removed, forgot = ("would remove", "would forget") if dry_run else ("removed", "forgot")
     for path in cleaned.files:
-        tell(f"{removed} {path}")
+        print_result(f"{removed} {path}")
     for name in cleaned.forgotten[:SHOWN]:
-        tell(f"{forgot} {name}")
+        print_result(f"{forgot} {name}")
     if len(cleaned.forgotten) > SHOWN:
-        tell(f"and {len(cleaned.forgotten) - SHOWN:,} more")
+        print_result(f"and {len(cleaned.forgotten) - SHOWN:,} more")
     for path in cleaned.kept:
-        tell(f"kept {path}: another machine may still write it")
+        print_result(f"kept {path}: another machine may still write it")
     forgotten = (
         f", {forgot} {count_of(len(cleaned.forgotten), 'input')}" if cleaned.forgotten else ""
     )
-    tell(
+    print_result(
         f"{removed} {count_of(len(cleaned.files), 'file')} ({size_of(cleaned.n_bytes)}){forgotten}"
     )

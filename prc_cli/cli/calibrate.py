@@ -22,9 +22,10 @@ from prc_cli.cli.options import (
     stream_options,
     window_options,
 )
+from prc_cli.cli.output import print_line, print_result, print_table, print_text
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, ScanPath
-from prc_cli.cli.report import end_with, line_progress, print_line, results, table_of
-from prc_cli.core.errors import ConfigError, printable_lines
+from prc_cli.cli.report import end_with, line_progress
+from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, prepare_outputs, whole_set
 from prc_cli.jobs.calibrate import Calibration, SearchOptions
 from prc_cli.jobs.calibrate import calibrate as calibrate_file
@@ -169,11 +170,7 @@ def calibrate(
                 with atomic_output(target, overwrite=overwrite) as temporary:
                     temporary.write_text(text(calibration), encoding="utf-8")
     if form != "table":
-        click.echo(
-            printable_lines(
-                (as_json(calibration) if form == "json" else as_markdown(calibration)).rstrip("\n")
-            )
-        )
+        print_text(as_json(calibration) if form == "json" else as_markdown(calibration))
     elif not quiet:
         _print(calibration)
     if not quiet:
@@ -232,8 +229,6 @@ def _print(calibration: Calibration) -> None:
         title = f"{calibration.search.n_trials} trials; figures on training and on held-out lines"
         tables.append((title, *judged_rows(calibration)))
     for title, header, rows in tables:
-        table = table_of(title, *header, rows=rows, n_words=len(header))
-        table.show_header = any(header)
-        results().print(table)
+        print_table(title, header, rows, n_words=len(header))
     for note in calibration.notes:
-        results().print(f"note: {note}", soft_wrap=True)
+        print_result(f"note: {note}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -19,13 +18,13 @@ from prc_cli.cli.options import (
     stream_options,
     window_options,
 )
+from prc_cli.cli.output import print_json, print_line
 from prc_cli.cli.paths import WRITTEN, ScanPath
 from prc_cli.cli.report import (
     compiling_note,
     end_with,
     line_progress,
     print_classes,
-    print_line,
     print_notices,
     print_profile,
     print_run_assumptions,
@@ -141,9 +140,7 @@ def classify(
         results = [summary.as_dict() for summary in summaries]
         if profile is not None:
             results[0]["profile"] = profile_of(profile, n_shots, threads)
-        click.echo(
-            json.dumps(results[0] if len(sources) == 1 else results, indent=2, sort_keys=True)
-        )
+        print_json(results[0] if len(sources) == 1 else results, sort_keys=True)
     if not quiet:
         _print_summaries(summaries, seconds, verbose=verbose)
         for command in after_classify(source, summaries[0].output, options):

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import click
 
 from prc_cli.cli.options import config_from, stream_options
+from prc_cli.cli.output import print_json, print_result, print_text
 from prc_cli.cli.paths import READ
 from prc_cli.config import json_schema, load_config, preset_summaries, sample_summaries, to_toml
 from prc_cli.core.config import read_toml
-from prc_cli.core.errors import message, printable, printable_lines
+from prc_cli.core.errors import message
 
 
 @click.group()
@@ -36,11 +36,9 @@ def show(bare: bool, as_json: bool, **options: Any) -> None:
     """
     loaded = config_from(options)
     if as_json:
-        click.echo(
-            json.dumps({"config": loaded.config.to_table(), "sources": loaded.sources}, indent=2)
-        )
+        print_json({"config": loaded.config.to_table(), "sources": loaded.sources})
     else:
-        click.echo(printable_lines(to_toml(loaded, comments=not bare)), nl=False)
+        print_text(to_toml(loaded, comments=not bare))
 
 
 @config.command()
@@ -65,7 +63,7 @@ def check(file: Path) -> None:
 
         loaded = BatchConfig(ConfigLayers(file)).base
         more = f" and {len(overrides)} override{'s' * (len(overrides) != 1)}"
-    click.echo(printable(f"{file}: valid, {len(loaded.sources)} keys set{more}"))
+    print_result(f"{file}: valid, {len(loaded.sources)} keys set{more}")
     if (
         loaded.config.method == "prc"
         and (warning := unusual(loaded.config.prc.support)) is not None
@@ -101,17 +99,19 @@ def presets(as_json: bool) -> None:
             }
             for preset in summaries
         ]
-        click.echo(json.dumps({"presets": rows}, indent=2))
+        print_json({"presets": rows})
         return
     width = max(len(preset.name) for preset in summaries)
-    click.echo(f"{'preset':{width}}  changed  what for")
+    print_result(f"{'preset':{width}}  changed  what for")
     for preset in summaries:
-        click.echo(f"{preset.name:{width}}  {preset.n_changed:7}  {preset.purpose}")
-    click.echo("\nsample configurations, for --config:")
+        print_result(f"{preset.name:{width}}  {preset.n_changed:7}  {preset.purpose}")
+    print_result("")
+    print_result("sample configurations, for --config:")
     for file, purpose in sample_summaries():
-        click.echo(f"{file.name:{width}}  {purpose}")
-    click.echo(
-        "\nIf you name no preset, prc chooses the method from the input: prc info FILE prints it."
+        print_result(f"{file.name:{width}}  {purpose}")
+    print_result("")
+    print_result(
+        "If you name no preset, prc chooses the method from the input: prc info FILE prints it."
     )
 
 
@@ -122,4 +122,4 @@ def schema() -> None:
     \b
     Example: prc config schema > prc.schema.json
     """
-    click.echo(json.dumps(json_schema(), indent=2))
+    print_json(json_schema())

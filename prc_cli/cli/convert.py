@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -16,15 +15,9 @@ from prc_cli.cli.options import (
     output_options,
     window_options,
 )
+from prc_cli.cli.output import print_json, print_line
 from prc_cli.cli.paths import WRITTEN, ScanPath
-from prc_cli.cli.report import (
-    NOT_KEPT,
-    end_with,
-    line_progress,
-    print_assumptions,
-    print_line,
-    print_notices,
-)
+from prc_cli.cli.report import NOT_KEPT, end_with, line_progress, print_assumptions, print_notices
 from prc_cli.jobs.convert import ConversionSummary
 from prc_cli.jobs.convert import convert as convert_file
 
@@ -65,7 +58,7 @@ def convert(
     with line_progress(source.name, quiet=quiet) as progress:
         summary = convert_file(source, output, loaded, overwrite=overwrite, progress=progress)
     if as_json:
-        click.echo(json.dumps(summary.as_dict(), indent=2, sort_keys=True))
+        print_json(summary.as_dict(), sort_keys=True)
     if not quiet:
         _print_summary(summary, time.perf_counter() - start, verbose=verbose)
     end_with(summary.doubts)

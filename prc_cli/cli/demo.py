@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,14 +9,9 @@ import click
 
 from prc_cli.cli.evaluate import print_evaluation
 from prc_cli.cli.options import QUIET, add_options
+from prc_cli.cli.output import print_json, print_line, print_result
 from prc_cli.cli.paths import WRITTEN
-from prc_cli.cli.report import (
-    compiling_note,
-    line_progress,
-    print_classes,
-    print_line,
-    print_run_assumptions,
-)
+from prc_cli.cli.report import compiling_note, line_progress, print_classes, print_run_assumptions
 from prc_cli.config import load_config
 from prc_cli.evaluation.reports import NO_INTERVALS, as_dict, overall_line
 from prc_cli.evaluation.scores import scores
@@ -110,9 +104,7 @@ def demo(
         )
     parts = {TITLES[name]: part for name, part in result.parts.items()}
     if json_wanted:
-        click.echo(
-            json.dumps({method: as_dict(part.matrix) for method, part in parts.items()}, indent=2)
-        )
+        print_json({method: as_dict(part.matrix) for method, part in parts.items()})
     if quiet:
         return
     if parts:
@@ -131,8 +123,9 @@ def _print(parts: Mapping[str, DemoPart], *, tables: bool) -> None:
     print_run_assumptions(record, verbose=False)
     if not tables:
         return
-    click.echo("\na drive along a street: labels compared with the true classes of the simulator")
+    print_result("")
+    print_result("a drive along a street: labels compared with the true classes of the simulator")
     print_evaluation(drive.matrix, scores(drive.matrix))
     for name, what in OTHERS.items():
         if name in parts:
-            click.echo(f"{what}: {overall_line(scores(parts[name].matrix), NO_INTERVALS)}")
+            print_result(f"{what}: {overall_line(scores(parts[name].matrix), NO_INTERVALS)}")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
 
+from prc_cli.cli.output import print_json, print_line, print_result
 from prc_cli.cli.paths import WRITTEN
-from prc_cli.cli.report import console, results
-from prc_cli.core.errors import ExitCode, printable
+from prc_cli.core.errors import ExitCode
 
 
 @click.command()
@@ -51,12 +50,9 @@ def doctor(
         if as_json or (quiet and check.status == "ok"):
             continue
         width = max(width, len(check.name), 16)
-        console_text = (
-            f"{check.status:<4}  {printable(check.name):<{width}}  {printable(check.text)}"
-        )
-        results().print(console_text, soft_wrap=True)
+        print_result(f"{check.status:<4}  {check.name:<{width}}  {check.text}")
         if check.hint:
-            results().print(f"      {'':<{width}}  -> {printable(check.hint)}", soft_wrap=True)
+            print_result(f"      {'':<{width}}  -> {check.hint}")
     counts = {
         status: sum(check.status == status for check in done) for status in ("ok", "warn", "bad")
     }
@@ -71,8 +67,8 @@ def doctor(
             }
             for c in done
         ]
-        click.echo(json.dumps({"counts": counts, "checks": checks}, indent=2))
+        print_json({"counts": counts, "checks": checks})
     elif not quiet:
-        console().print(f"{counts['ok']} ok, {counts['warn']} warn, {counts['bad']} bad")
+        print_line(f"{counts['ok']} ok, {counts['warn']} warn, {counts['bad']} bad")
     if counts["bad"]:
         click.get_current_context().exit(ExitCode.FAILED)

@@ -22,9 +22,9 @@ from prc_cli.cli.options import (
     numbers,
     window_options,
 )
+from prc_cli.cli.output import console, print_table, print_text, results
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN
-from prc_cli.cli.report import console, results, table_of
-from prc_cli.core.errors import ConfigError, ExitCode, InputError, printable_lines
+from prc_cli.core.errors import ConfigError, ExitCode, InputError
 from prc_cli.core.files import atomic_output, open_to_read, prepare_outputs, whole_set
 from prc_cli.core.window import Window, parse_window
 from prc_cli.evaluation.confusion import ConfusionMatrix
@@ -334,7 +334,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
             with atomic_output(path, overwrite=options["overwrite"]) as temporary:
                 temporary.write_text(text, encoding="utf-8", newline="\n")
     if form != "table":
-        click.echo(printable_lines(_text(form, evaluation, gates, mapping, pictures).rstrip("\n")))
+        print_text(_text(form, evaluation, gates, mapping, pictures))
     elif not options["quiet"]:
         print_evaluation(evaluation.matrix, scores(evaluation.matrix), evaluation.intervals)
         print_evaluation_details(evaluation, gates)
@@ -489,8 +489,8 @@ def print_evaluation(
         )
     ]
     title = "reference in rows, predicted in columns: records (share of the row)"
-    _print(title, ("reference", *shown.predicted_names), rows)
-    _print(
+    print_table(title, ("reference", *shown.predicted_names), rows)
+    print_table(
         "scores",
         ("class", *CLASS_SCORES),
         [score_row(item, intervals) for item in scores(shown).classes],
@@ -499,23 +499,19 @@ def print_evaluation(
     results().print(f"{counts}: {overall_line(table, intervals)}")
 
 
-def _print(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    results().print(table_of(title, *header, rows=rows, overflow="fold"))
-
-
 def print_evaluation_details(evaluation: Evaluation, gates: Sequence[GateResult]) -> None:
     """Print the parts of an evaluation, its gates and how the records were matched, on stdout."""
     if evaluation.intervals:
         results().print(f"intervals: {evaluation.interval_method}")
     for split, parts in evaluation.splits.items():
         header, rows = split_table(parts, evaluation.matrix.trimmed())
-        _print(f"by {split}", header, rows[:MAX_PARTS])
+        print_table(f"by {split}", header, rows[:MAX_PARTS])
         if len(rows) > MAX_PARTS:
             results().print(
                 f"and {len(rows) - MAX_PARTS} more; --output and --format have all of them"
             )
     if evaluation.three is not None:
-        _print("three labellings", *evaluation.three.table())
+        print_table("three labellings", *evaluation.three.table())
         for sentence in evaluation.three.sentences():
             results().print(sentence)
     for gate in gates:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import click
-from rich.table import Table
 
 from prc_cli.cli.options import QUIET, Sectioned, config_from, stream_options
+from prc_cli.cli.output import print_facts, print_json, print_result
 from prc_cli.cli.paths import ScanPath
-from prc_cli.cli.report import compiling_note, line_progress, results, short_reason
+from prc_cli.cli.report import compiling_note, line_progress, short_reason
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.explain import Explanation
 from prc_cli.jobs.explain import explain as explain_shot
@@ -61,7 +60,7 @@ def explain(
             loading=lambda: compiling_note(quiet=quiet),
         )
     if as_json:
-        click.echo(json.dumps(explanation.as_dict(), indent=2))
+        print_json(explanation.as_dict())
     elif not quiet:
         _print(explanation)
 
@@ -77,21 +76,15 @@ def _place(text: str) -> tuple[int, int]:
 
 def _print(explanation: Explanation) -> None:
     code = f"{explanation.label.name.lower()}, code {explanation.code}"
-    results().print(
-        f"{explanation.path}: line {explanation.line:,}, column {explanation.column:,}: {code}",
-        soft_wrap=True,
-    )
-    table = Table(show_header=False, box=None, pad_edge=False)
-    table.add_column(overflow="fold")
-    table.add_column(overflow="fold")
-    table.add_row(
-        "because", f"{explanation.sentence} (reason {explanation.reason}, {explanation.rule})"
-    )
+    place = f"line {explanation.line:,}, column {explanation.column:,}"
+    print_result(f"{explanation.path}: {place}: {code}")
+    rule = f"reason {explanation.reason}, {explanation.rule}"
+    rows = [("because", f"{explanation.sentence} ({rule})")]
     for n, (key, value) in enumerate(explanation.limits.items()):
-        table.add_row("" if n else "limits", f"{key} = {value}")
+        rows.append(("" if n else "limits", f"{key} = {value}"))
     for name, value in explanation.measures.items():
-        table.add_row(name, _readable(value))
-    results().print(table)
+        rows.append((name, _readable(value)))
+    print_facts(rows)
     facts = [f"record {explanation.record:,}" if explanation.record >= 0 else "no record"]
     facts += [] if explanation.range_m is None else [f"range {explanation.range_m:.3f} m"]
     facts += [] if explanation.time_s is None else [f"time {explanation.time_s:.6f} s"]
@@ -101,11 +94,11 @@ def _print(explanation: Explanation) -> None:
         else [f"{explanation.beam_deg:.2f} deg from straight down"]
     )
     facts += [f"scanner {explanation.scanner}"] if explanation.scanner else []
-    results().print(", ".join(facts), soft_wrap=True)
+    print_result(", ".join(facts))
     chosen = ""
     if explanation.chosen is not None:
         chosen = f" (--preset {explanation.chosen.preset}): {short_reason(explanation.chosen.why)}"
-    results().print(f"method: {explanation.method}{chosen}", soft_wrap=True)
+    print_result(f"method: {explanation.method}{chosen}")
 
 
 def _readable(value: Any) -> str:

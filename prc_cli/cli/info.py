@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shlex
 import shutil
@@ -16,6 +15,7 @@ import click
 
 from prc_cli.cli.next_step import output_for, typed
 from prc_cli.cli.options import Sectioned, config_from, given_words, output_options, stream_options
+from prc_cli.cli.output import print_json, print_result, print_text
 from prc_cli.cli.paths import WRITTEN, ScanPath
 from prc_cli.cli.report import print_doubts
 from prc_cli.config import LoadedConfig, load_config
@@ -112,9 +112,9 @@ def info(
         if not as_json and not quiet:
             _print(inspection, command, checks=checks, verbose=verbose)
             for name in written:
-                click.echo(printable(f"{name}: path of the scanner"))
+                print_result(f"{name}: path of the scanner")
     if as_json:
-        click.echo(json.dumps(reports[0] if len(files) == 1 else reports, indent=2))
+        print_json(reports[0] if len(files) == 1 else reports)
     if code:
         raise SystemExit(code)
 
@@ -175,19 +175,20 @@ def _print(
 ) -> None:
     """Print whether a file can be classified, what to type, warnings, facts and checks."""
     warnings = [finding for finding in inspection.doubts if finding.problem != inspection.problem]
-    click.echo(printable(f"{inspection.path}: {_verdict(inspection, warnings)}"))
+    print_result(f"{inspection.path}: {_verdict(inspection, warnings)}")
     if inspection.problem and inspection.hint:
-        click.echo(printable(f"what to do: {inspection.hint}"))
+        print_result(f"what to do: {inspection.hint}")
     if command:
-        click.echo(printable(f"type: {command}"))
+        print_result(f"type: {command}")
     for finding in warnings:
-        click.echo(printable(f"warning: {finding.sentence()}"))
+        print_result(f"warning: {finding.sentence()}")
     rows = [*_rows(inspection, verbose=verbose), *_check_rows(inspection, listed=checks or verbose)]
     wide = min(max(len(name) for name, _ in rows), MOST_NAME) + 2
     width = max(shutil.get_terminal_size((100, 24)).columns, wide + LEAST_WIDTH)
     for name, value in rows:
         head = f"{name:{wide - 2}}  "
-        click.echo(textwrap.fill(printable(head + value), width, subsequent_indent=" " * wide))
+        text = textwrap.fill(printable(head + value), width, subsequent_indent=" " * wide)
+        print_text(text)
 
 
 def _verdict(inspection: Inspection, warnings: Sequence[Finding]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -16,12 +15,12 @@ from prc_cli.cli.options import (
     stream_options,
     window_options,
 )
+from prc_cli.cli.output import print_csv_row, print_json, print_line
 from prc_cli.cli.paths import WRITTEN, ScanPath
 from prc_cli.cli.report import (
     compiling_note,
     end_with,
     line_progress,
-    print_line,
     print_notices,
     print_run_assumptions,
 )
@@ -79,15 +78,15 @@ def objects(
     def head() -> None:
         # not before the first object: the input may be refused
         if is_table and next(rows) == 1:
-            click.echo(",".join(COLUMNS))
+            print_csv_row(COLUMNS)
 
     def show(scan_object: ScanObject) -> None:
         head()
         values = {name: plain(getattr(scan_object, name)) for name in COLUMNS}
         if as_json:
-            click.echo(json.dumps(values))
+            print_json(values, indent=None)
         elif is_table:
-            click.echo(",".join("" if value is None else str(value) for value in values.values()))
+            print_csv_row(values.values())
 
     with line_progress(source.name, quiet=quiet) as progress:
         summary = find_objects(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict
 from pathlib import Path
@@ -11,8 +10,9 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import Sectioned, complete_mapping, config_from, stream_options
+from prc_cli.cli.output import print_json, print_line
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, ScanPath
-from prc_cli.cli.report import line_progress, print_line
+from prc_cli.cli.report import line_progress
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.render import COLOURS, VIEWS, RenderOptions, RenderResult
 from prc_cli.jobs.render import render as render_file
@@ -160,7 +160,7 @@ def render(
                 source, html, loaded, chosen, overwrite=overwrite, progress=progress
             )
     if as_json:
-        click.echo(json.dumps(_as_dict(result), indent=2))
+        print_json(_as_dict(result))
     if not quiet:
         print_line(result.drawn)
         for note in result.notes:

@@ -1,26 +1,22 @@
-"""Tables, progress bars and ``--profile`` on stderr.
+"""Progress bars, warnings, notes and ``--profile`` on stderr.
 
-Machine-readable results go to stdout elsewhere.
+Results go to stdout by :mod:`prc_cli.cli.output`.
 """
 
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 import sys
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
+from prc_cli.cli.output import console, print_line, table_of
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.errors import ExitCode, message, printable, printable_lines
+from prc_cli.core.errors import ExitCode, message, printable
 from prc_cli.core.findings import is_doubt
 from prc_cli.core.profile import Profile, StageTime, peak_memory
 
@@ -34,28 +30,6 @@ if TYPE_CHECKING:
 
 NOT_KEPT = "not kept: "
 """Prefix of a note about values that the output cannot contain."""
-
-
-class SafeConsole(Console):
-    """A console that escapes control characters, which names of files and in files may contain."""
-
-    def render_str(self, text: str, **options: Any) -> Text:
-        """Escape text to print; rich also calls this for cells, headings and titles of tables."""
-        return super().render_str(printable_lines(text), **options)
-
-
-@cache
-def console() -> Console:
-    """Return the console on stderr; stdout is kept for results."""
-    return SafeConsole(stderr=True, markup=False, highlight=False, emoji=False)
-
-
-@cache
-def results() -> Console:
-    """Return the console on stdout, for tables that are the result of a command."""
-    # in a pipe or a file rich would cut tables at 80 columns
-    is_known = sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit()
-    return SafeConsole(width=None if is_known else 160, markup=False, highlight=False, emoji=False)
 
 
 COMPILING_S = 2.0
@@ -130,24 +104,6 @@ def end_with(doubts: Iterable[Finding]) -> None:
     """Print warnings, and end the command with exit code 4 if there are any."""
     if code := print_doubts(doubts):
         raise SystemExit(code)
-
-
-def table_of(
-    title: str, *headings: str, rows: Iterable[Sequence[str]] = (), n_words: int = 1, **column: Any
-) -> Table:
-    """Return a table with ``n_words`` columns of words, then columns of numbers."""
-    table = Table(title=title)
-    column.setdefault("overflow", "fold")
-    for i, heading in enumerate(headings):
-        table.add_column(heading, justify="left" if i < n_words else "right", **column)
-    for row in rows:
-        table.add_row(*row)
-    return table
-
-
-def print_line(text: str) -> None:
-    """Print a line on stderr, however long."""
-    console().print(text, soft_wrap=True)
 
 
 def print_classes(name: str, labels: I64, config: Mapping[str, Any]) -> None:

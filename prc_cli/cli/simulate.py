@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -10,19 +9,11 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import add_options, output_options, table_from
+from prc_cli.cli.output import console, print_json, print_line, print_text, results, table_of
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN
-from prc_cli.cli.report import (
-    compiling_note,
-    console,
-    line_progress,
-    print_line,
-    print_notices,
-    results,
-    table_of,
-)
+from prc_cli.cli.report import compiling_note, line_progress, print_notices
 from prc_cli.config import params_to_toml
 from prc_cli.core.classes import Label
-from prc_cli.core.errors import printable_lines
 from prc_cli.jobs.simulate import Beside, SimulationSummary, check_simulation
 from prc_cli.jobs.simulate import simulate as simulate_file
 from prc_cli.simulation.drive import load_simulator
@@ -241,9 +232,7 @@ def scanners(as_json: bool) -> None:
     Example: prc simulate scanners --json
     """
     if as_json:
-        click.echo(
-            json.dumps({name: scanner.model_dump() for name, scanner in SCANNERS.items()}, indent=2)
-        )
+        print_json({name: scanner.model_dump() for name, scanner in SCANNERS.items()})
         return
     table = table_of(
         "scanners", "name", "lines/s", "shots a line", "field", "range", "noise", "returns"
@@ -292,7 +281,7 @@ def parameters(
     options = table_from(assignments, {}, {})
     settings = load_settings(kind, config_file, options)
     notes = preset_notes(kind, settings, config_file, options)
-    click.echo(printable_lines(params_to_toml(settings, notes, comments=not bare)), nl=False)
+    print_text(params_to_toml(settings, notes, comments=not bare))
 
 
 _KEYS = {
@@ -340,7 +329,7 @@ def _run(kind: Kind, options: dict[str, Any]) -> None:
             progress=progress,
         )
     if options["as_json"]:
-        click.echo(json.dumps(summary.as_dict(), indent=2, sort_keys=True))
+        print_json(summary.as_dict(), sort_keys=True)
     if not quiet:
         _print_summary(summary, time.perf_counter() - start, verbose=options["verbose"])
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import sys
 import time
 from typing import Any
@@ -11,13 +10,8 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import Sectioned, config_from, live_options, output_options
-from prc_cli.cli.report import (
-    compiling_note,
-    print_assumptions,
-    print_choice,
-    print_doubts,
-    print_line,
-)
+from prc_cli.cli.output import print_event, print_line
+from prc_cli.cli.report import compiling_note, print_assumptions, print_choice, print_doubts
 from prc_cli.config import MethodChoice
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ExitCode
@@ -78,14 +72,14 @@ def stream(
 
     def print_warning(doubt: Finding) -> None:
         if as_json:
-            click.echo(json.dumps({"doubt": doubt.as_dict()}, sort_keys=True), err=True)
+            print_event({"doubt": doubt.as_dict()})
         else:
             print_doubts((doubt,))
 
     def print_method(choice: MethodChoice) -> None:
         if as_json:
             table = {"method": choice.method, "preset": choice.preset, "why": choice.why}
-            click.echo(json.dumps(table, sort_keys=True), err=True)
+            print_event(table)
         elif not quiet:
             print_choice(choice.assumption)
 
@@ -96,7 +90,7 @@ def stream(
         labels = {label.name.lower(): int(summary.counts.labels[label]) for label in Label}
         doubts = [doubt.as_dict() for doubt in summary.doubts]
         table = {**_as_dict(summary.rate, line_hz), "labels": labels, "doubts": doubts}
-        click.echo(json.dumps(table, sort_keys=True), err=True)
+        print_event(table)
     elif not quiet:
         if verbose:
             print_assumptions(summary.info.assumptions, summary.counts.tally)
@@ -132,7 +126,7 @@ class _Reporter:
             return
         self._next = now + self._every_s
         if self._as_json:
-            click.echo(json.dumps(_as_dict(rate, self._line_hz), sort_keys=True), err=True)
+            print_event(_as_dict(rate, self._line_hz))
         else:
             print_line(_sentence(rate, self._line_hz))
 

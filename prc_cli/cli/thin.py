@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -11,16 +10,9 @@ import click
 
 from prc_cli.cli import report
 from prc_cli.cli.options import Sectioned, config_from, output_options, stream_options
+from prc_cli.cli.output import console, print_json, print_line, results, table_of
 from prc_cli.cli.paths import READ, WRITTEN, ScanPath
-from prc_cli.cli.report import (
-    console,
-    line_progress,
-    print_assumptions,
-    print_line,
-    print_notices,
-    results,
-    table_of,
-)
+from prc_cli.cli.report import line_progress, print_assumptions, print_notices
 from prc_cli.jobs.thin import CLASSIFY, ThinningSummary, parse_rules
 from prc_cli.jobs.thin import thin as thin_file
 
@@ -126,7 +118,7 @@ def thin(
             progress=progress,
         )
     if as_json:
-        click.echo(json.dumps(summary.as_dict(), indent=2, sort_keys=True))
+        print_json(summary.as_dict(), sort_keys=True)
     if not quiet:
         _print_summary(summary, time.perf_counter() - start, verbose=verbose, as_json=as_json)
     if code := report.print_doubts(summary.doubts):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -10,8 +9,9 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import POSES, Sectioned, add_options, layout_in, numbers, output_options
+from prc_cli.cli.output import console, print_json, print_line, table_of
 from prc_cli.cli.paths import READ, WRITTEN
-from prc_cli.cli.report import console, line_progress, print_assumptions, print_line, table_of
+from prc_cli.cli.report import line_progress, print_assumptions
 from prc_cli.config import load_config
 from prc_cli.core.stream import ReadTally
 from prc_cli.jobs.transfer import TransferSummary
@@ -140,7 +140,7 @@ def transfer(
             progress=progress,
         )
     if as_json:
-        click.echo(json.dumps(summary.record.as_dict(), indent=2, sort_keys=True))
+        print_json(summary.record.as_dict(), sort_keys=True)
     if not quiet:
         _print_summary(summary, time.perf_counter() - start, verbose=verbose)
 
