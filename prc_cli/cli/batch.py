@@ -250,7 +250,7 @@ _CHECKS = [
         help="If the class shares of a file differ from the earlier files, exit with code 4.",
     ),
 ]
-_TELLING = [
+_REPORTING = [
     _option(
         "--log-json",
         type=WRITTEN_TEXT,
@@ -264,7 +264,7 @@ _TELLING = [
 @click.group(cls=BatchCommand, subcommand_metavar="")
 @click.argument("archive", type=READ, shell_complete=_complete_archive)
 @click.argument("out", type=WRITTEN, required=False)
-@add_options(*_SELECTION, *_WORK, *_OUTPUTS, *_CHECKS, *_TELLING)
+@add_options(*_SELECTION, *_WORK, *_OUTPUTS, *_CHECKS, *_REPORTING)
 @stream_options
 @output_options
 def batch(**options: Any) -> None:
@@ -417,7 +417,7 @@ def _run(options: dict[str, Any], typed: Sequence[str]) -> None:
     if options["dry_run"]:
         _dry_run(settings, options)
         return
-    summary = _run_and_tell(settings, options, typed)
+    summary = _run_and_print(settings, options, typed)
     if options["as_json"]:
         from prc_cli.jobs.batch.report import as_dict
 
@@ -431,7 +431,7 @@ def _verified_code(outputs: Iterable[Verified]) -> ExitCode:
 
 
 def _verify(out: Path, *, as_json: bool, quiet: bool) -> None:
-    """Say which outputs are whole; exit code 1 if one is not."""
+    """Print which outputs are whole; exit code 1 if one is not."""
     from prc_cli.cli.batch_report import print_verified
     from prc_cli.jobs.batch.outputs import verify_outputs
 
@@ -502,10 +502,10 @@ def _engine(options: dict[str, Any], notice: Callable[[str], None]) -> Engine | 
 
 
 def _dry_run(settings: BatchSettings, options: dict[str, Any]) -> None:
-    from prc_cli.cli.batch_report import plan_dict, print_plan, say
+    from prc_cli.cli.batch_report import plan_dict, print_note, print_plan
     from prc_cli.jobs.batch.run import plan_batch
 
-    _engine(options, say)  # checks the options
+    _engine(options, print_note)  # checks the options
     plan, estimate = plan_batch(settings)
     if options["as_json"]:
         print_json(plan_dict(plan, estimate), indent=1, allow_nan=False)
@@ -513,10 +513,10 @@ def _dry_run(settings: BatchSettings, options: dict[str, Any]) -> None:
         print_plan(plan, estimate, verbose=options["verbose"])
 
 
-def _run_and_tell(
+def _run_and_print(
     settings: BatchSettings, options: dict[str, Any], typed: Sequence[str]
 ) -> BatchSummary:
-    from prc_cli.cli.batch_report import Final, JsonLog, Teller, print_end, say
+    from prc_cli.cli.batch_report import Final, JsonLog, ProgressPrinter, print_end, print_note
     from prc_cli.jobs.batch.run import Noted, Ready, run_batch
 
     quiet = options["quiet"]
@@ -538,7 +538,7 @@ def _run_and_tell(
     problem = ""
     try:
         with contextlib.ExitStack() as stack:
-            show = Teller(
+            show = ProgressPrinter(
                 quiet=quiet,
                 verbose=options["verbose"],
                 stamps=options["time_stamps"],
@@ -557,7 +557,7 @@ def _run_and_tell(
     except (KeyboardInterrupt, SystemExit) as stop:
         code = int(stop.code or 0) if isinstance(stop, SystemExit) else ExitCode.INTERRUPTED
         problem = "interrupted"
-        say("interrupted; finished files stay, and the next run continues")
+        print_note("interrupted; finished files stay, and the next run continues")
         raise SystemExit(code) from None
     finally:
         if log is not None:

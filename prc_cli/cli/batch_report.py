@@ -49,12 +49,12 @@ Keys are added without a new number, never renamed or taken away.
 """
 
 
-def say(text: str) -> None:
+def print_note(text: str) -> None:
     """Print a line on stderr, whatever names are in it, if anybody is there to read it."""
-    say_message(printable(text))
+    print_message(printable(text))
 
 
-def say_message(text: str) -> None:
+def print_message(text: str) -> None:
     """Print a message on stderr, whose lines are printable."""
     try:
         sys.stderr.write(text + "\n")
@@ -63,12 +63,12 @@ def say_message(text: str) -> None:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
 
 
-def _say_all(messages: Sequence[str]) -> None:
+def _print_messages(messages: Sequence[str]) -> None:
     """Print the first of many messages on stderr."""
     for text in messages[:SHOWN]:
-        say_message(text)
+        print_message(text)
     if len(messages) > SHOWN:
-        say(f"and {len(messages) - SHOWN} more, see summary.json")
+        print_note(f"and {len(messages) - SHOWN} more, see summary.json")
 
 
 # -- words -----------------------------------------------------------------------------------
@@ -94,7 +94,6 @@ def _doubt_of(doubt: Doubted) -> Problem:
 
 
 def _message(head: str, problem: Problem) -> str:
-    """Return a :func:`message` for a terminal."""
     return message(f"{head} {problem.where}", problem.problem, problem.hint)
 
 
@@ -154,25 +153,25 @@ class Final:
         held = self._held
         self._held = None
         if held is not None and not (isinstance(event, Again) and event.name == held.name):
-            self._tell(held)
+            self._pass_on(held)
         if isinstance(event, Failed):
             self._held = event
         else:
-            self._tell(event)
+            self._pass_on(event)
 
     def close(self) -> None:
         """Pass on the last failure."""
         if self._held is not None:
-            self._tell(self._held)
+            self._pass_on(self._held)
 
-    def _tell(self, event: RunEvent) -> None:
+    def _pass_on(self, event: RunEvent) -> None:
         for listener in self._listeners:
             # a closed terminal or pipe must not stop the work
             with contextlib.suppress(OSError):
                 listener(event)
 
 
-class Teller:
+class ProgressPrinter:
     """Prints a line per finished file or a bar; if quiet, only failures and warnings."""
 
     def __init__(
@@ -210,20 +209,20 @@ class Teller:
         elif isinstance(event, Started):
             self._lines[event.name] = 0
             if self._verbose:
-                self._say(f"start {event.name} (worker {event.worker})")
+                self._print(f"start {event.name} (worker {event.worker})")
         elif isinstance(event, Progress):
             self._lines[event.name] = self._lines.get(event.name, 0) + event.n_lines
         elif isinstance(event, Doubted):
-            self._say_problem("warning:", _doubt_of(event))
+            self._print_problem("warning:", _doubt_of(event))
         elif isinstance(event, Alarm):
-            self._say(f"alarm {event.name}: {event.sentence}")
+            self._print(f"alarm {event.name}: {event.sentence}")
         elif isinstance(event, Again) and not self._quiet:
-            self._say(
+            self._print(
                 f"again {event.name}: tried once more ({event.problem.kind}: "
                 f"{event.problem.problem})"
             )
         elif isinstance(event, Noted) and not self._quiet:
-            self._say(f"note: {event.text}")
+            self._print(f"note: {event.text}")
         if self._has_bar:
             self._show()
 
@@ -236,7 +235,7 @@ class Teller:
         self._n_todo = len(event.plan.todo) + len(event.plan.refused)
         self._bar.total = sum(self._sizes.values())
         if self._verbose:
-            self._say(
+            self._print(
                 f"{count_of(self._n_todo, 'file')} to do, {event.jobs} at a time with "
                 f"{event.threads} threads each"
             )
@@ -247,7 +246,7 @@ class Teller:
         self._end(event.name, "" if self._quiet or self._has_bar else text)
         for notice in event.notices if self._verbose and not self._quiet else ():
             if not is_doubt(notice):  # warnings are printed separately
-                self._say(f"note {event.name}: {notice}")
+                self._print(f"note {event.name}: {notice}")
 
     def _end(self, name: str, text: str, problem: Problem | None = None) -> None:
         self._n_ended += 1
@@ -255,9 +254,9 @@ class Teller:
         self._bar.update(self._sizes.get(name, 0))
         count = f"[{self._n_ended}/{self._n_todo}]" if self._n_todo else "[-]"
         if problem is not None:
-            self._say_problem(f"{count} {text}", problem)
+            self._print_problem(f"{count} {text}", problem)
         elif text:
-            self._say(f"{count} {text}")
+            self._print(f"{count} {text}")
 
     def _show(self) -> None:
         failed = f", {self._n_failed} failed" if self._n_failed else ""
@@ -269,17 +268,17 @@ class Teller:
         )
         self._bar.update(0)
 
-    def _say(self, text: str) -> None:
+    def _print(self, text: str) -> None:
         self._bar.clear()
-        say(f"{_now()} {text}" if self._stamps else text)
+        print_note(f"{_now()} {text}" if self._stamps else text)
 
-    def _say_problem(self, head: str, problem: Problem) -> None:
+    def _print_problem(self, head: str, problem: Problem) -> None:
         """Print a message of up to three lines, or one line with its time in a log."""
         if self._stamps:
-            self._say(f"{head} {problem}")
+            self._print(f"{head} {problem}")
         else:
             self._bar.clear()
-            say_message(_message(head, problem))
+            print_message(_message(head, problem))
 
 
 def _check_log(path: Path) -> None:
@@ -382,7 +381,7 @@ class JsonLog:
                 name = self._path or "stdout"
                 why = getattr(error, "strerror", None) or error
                 problem = f"the log cannot be written ({why}); the run continues"
-                say_message(message(f"warning: {name}", problem))
+                print_message(message(f"warning: {name}", problem))
             self._has_warned = True
             if self._path is None:
                 sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 - else Python fails at exit
@@ -431,9 +430,9 @@ def print_end(
         )
         nothing = "no file failed or was interrupted" if only_failed else "no files were found"
         if not quiet:
-            say(f"nothing to do: {files if summary.n_found else nothing} ({summary.out})")
+            print_note(f"nothing to do: {files if summary.n_found else nothing} ({summary.out})")
         if trusting:
-            say(TRUSTING)
+            print_note(TRUSTING)
         if is_wrong or not quiet:
             _print_doubts(summary)
         return
@@ -444,20 +443,20 @@ def print_end(
         messages = [_message("failed", _problem_of(failure)) for failure in failed]
         messages += [_message("failed before", _problem_of(failure)) for failure in failed_before]
         messages += [message(f"left out {file.name}", file.reason) for file in summary.left_out]
-        _say_all(messages)
+        _print_messages(messages)
         _print_doubts(summary)
         _print_compared(summary)
     if summary.evaluation is not None and not (quiet and summary.evaluation.passed):
         for gate in summary.evaluation.gates:
             value = "undefined" if gate.value != gate.value else f"{gate.value:.4f}"
-            say(
+            print_note(
                 f"{gate.name}: found {value}, expected at least {gate.limit:.4f}: "
                 f"{'passed' if gate.passed else 'failed'}"
             )
     if is_wrong or not quiet:
-        say(_end_words(summary))
+        print_note(_end_words(summary))
     if trusting:
-        say(TRUSTING)
+        print_note(TRUSTING)
 
 
 def _end_words(summary: BatchSummary) -> str:
@@ -499,7 +498,7 @@ def _print_doubts(summary: BatchSummary) -> None:
     counts = Counter(doubt.check for doubt in summary.doubts)
     if counts:
         checks = ", ".join(f"{check} {count:,}" for check, count in counts.most_common())
-        say(
+        print_note(
             f"{count_of(summary.n_doubted, 'file')} with warnings ({checks}); "
             "all are in summary.json and prc batch status"
         )
@@ -539,7 +538,9 @@ def _print_compared(summary: BatchSummary) -> None:
             if item.name in names:
                 table.add_row(item.name, *(percent(getattr(item, score)) for score in CLASS_SCORES))
         results().print(table)
-    _say_all([_message("not compared", _problem_of(missing)) for missing in evaluation.unpaired])
+    _print_messages(
+        [_message("not compared", _problem_of(missing)) for missing in evaluation.unpaired]
+    )
 
 
 # -- the plan, and the state of an output folder ---------------------------------------------

@@ -218,17 +218,17 @@ def _trials(*, quiet: bool) -> Iterator[Tried | None]:
 
 
 def _print(calibration: Calibration) -> None:
-    tables: list[tuple[str, tuple[str, ...], Iterable[Sequence[str]]]]
-    tables = [("measured on the stream", ("", ""), sensor_rows(calibration.sensor))]
+    _print_table("measured on the stream", ("", ""), sensor_rows(calibration.sensor))
     if calibration.advice:
-        tables.append(("share of the returns", CURVE_HEADER, curve_rows(calibration)))
-        tables.append(
-            ("parameters", ("key", "before", "value", "reason"), advice_rows(calibration))
-        )
+        _print_table("share of the returns", CURVE_HEADER, curve_rows(calibration))
+        headings = ("key", "before", "value", "reason")
+        _print_table("parameters", headings, advice_rows(calibration))
     if calibration.search is not None:
         title = f"{calibration.search.n_trials} trials; figures on training and on held-out lines"
-        tables.append((title, *judged_rows(calibration)))
-    for title, header, rows in tables:
-        print_table(title, header, rows, n_words=len(header))
+        _print_table(title, *judged_rows(calibration))
     for note in calibration.notes:
         print_result(f"note: {note}")
+
+
+def _print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    print_table(title, headings, rows, n_words=len(headings))

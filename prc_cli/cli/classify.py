@@ -30,7 +30,6 @@ from prc_cli.cli.report import (
     print_run_assumptions,
     profile_of,
 )
-from prc_cli.config import LoadedConfig
 from prc_cli.core.errors import printable
 from prc_cli.core.profile import profiling, timed
 from prc_cli.jobs.classify import classify as classify_file
@@ -133,7 +132,12 @@ def classify(
                 "engine": engine,
                 "loading": loading,
             }
-            summaries = _classify_all(sources, output, loaded, **common)
+            if len(sources) == 1:
+                summaries = [classify_file(source, output, loaded, **common)]
+            else:
+                from prc_cli.jobs.drive import classify_drive  # few need it
+
+                summaries = classify_drive(sources, output, loaded, **common)
         seconds = time.perf_counter() - start - loading_s
     n_shots = sum(summary.counts.n_shots for summary in summaries)
     if as_json:
@@ -148,16 +152,6 @@ def classify(
     if profile is not None and not (quiet and as_json):
         print_profile(profile, n_shots, threads)
     end_with(dict.fromkeys(doubt for summary in summaries for doubt in summary.doubts))
-
-
-def _classify_all(
-    sources: tuple[Path, ...], output: Path, loaded: LoadedConfig, **common: Any
-) -> list[RunSummary]:
-    if len(sources) == 1:
-        return [classify_file(sources[0], output, loaded, **common)]
-    from prc_cli.jobs.drive import classify_drive  # few need it
-
-    return classify_drive(sources, output, loaded, **common)
 
 
 def _print_summaries(summaries: Sequence[RunSummary], seconds: float, *, verbose: bool) -> None:

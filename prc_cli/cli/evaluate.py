@@ -292,39 +292,33 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
         name, why = mapping_of_runs(files_of(left), files_of(right), how.reference_dimension)
     mapping = load_mapping(name)
     gate_list = [parse_gate(text, mapping) for text in options["gates"]]
+    for path in options["outputs"]:
+        if path.suffix.lower() not in FORMS:
+            problem = f"found the suffix {path.suffix!r}, expected one of: {' '.join(FORMS)}"
+            raise ConfigError(str(path), problem, "choose a name with one of these suffixes")
     if options["outputs"]:
-        _check_outputs(
-            options["outputs"],
-            overwrite=options["overwrite"],
-            inputs=tuple(files_of((*left, *right))),
-        )
+        inputs = tuple(files_of((*left, *right)))
+        prepare_outputs(*options["outputs"], overwrite=options["overwrite"], inputs=inputs)
     page_wanted = form == "html" or any(
         path.suffix.lower() == ".html" for path in options["outputs"]
     )
     pictures = _read_pictures(options["pictures"], wanted=page_wanted)
     evaluation = evaluate_all(left, right, name, options=how)
     gates = check_gates(scores(evaluation.matrix), gate_list)
-    if (
-        evaluation.match.method == "order" and page_wanted and how.window is None
-    ):  # they show the first lines
-        dimensions = how.predicted_dimension, how.reference_dimension
-        points = how.predicted_points, how.reference_points
-        pictures = (
-            *class_pictures(
-                Path(evaluation.predicted[0]),
-                Path(evaluation.reference[0]),
-                mapping,
-                how.points_per_line,
-                dimensions,
-                points,
-            ),
-            *pictures,
+    # pictures of the classes show the first lines
+    if page_wanted and evaluation.match.method == "order" and how.window is None:
+        first_lines = class_pictures(
+            Path(evaluation.predicted[0]),
+            Path(evaluation.reference[0]),
+            mapping,
+            how.points_per_line,
+            (how.predicted_dimension, how.reference_dimension),
+            (how.predicted_points, how.reference_points),
         )
+        pictures = (*first_lines, *pictures)
     if evaluation.plan is not None:
-        pictures = (
-            ("From above: where predicted and third are right and wrong", evaluation.plan),
-            *pictures,
-        )
+        title = "From above: where predicted and third are right and wrong"
+        pictures = ((title, evaluation.plan), *pictures)
     texts = [
         _text(FORMS[path.suffix.lower()], evaluation, gates, mapping, pictures)
         for path in options["outputs"]
@@ -442,14 +436,6 @@ def _per_cents(text: str | None) -> tuple[int, ...]:
     return edges
 
 
-def _check_outputs(outputs: Sequence[Path], *, overwrite: bool, inputs: tuple[Path, ...]) -> None:
-    for path in outputs:
-        if path.suffix.lower() not in FORMS:
-            problem = f"found the suffix {path.suffix!r}, expected one of: {' '.join(FORMS)}"
-            raise ConfigError(str(path), problem, "choose a name with one of these suffixes")
-    prepare_outputs(*outputs, overwrite=overwrite, inputs=inputs)
-
-
 def _read_pictures(texts: Sequence[str], *, wanted: bool) -> Pictures:
     if texts and not wanted:
         raise ConfigError(
@@ -479,15 +465,12 @@ def print_evaluation(
 ) -> None:
     """Print a confusion matrix with row shares, and the scores, on stdout."""
     shown = matrix.trimmed()
-    rows = [
-        (
-            name,
-            *(f"{count:,} ({percent(share)})" for count, share in zip(counts, shares, strict=True)),
-        )
-        for name, counts, shares in zip(
-            shown.reference_names, shown.counts, shown.row_shares(), strict=True
-        )
-    ]
+    rows = []
+    for name, counts, shares in zip(
+        shown.reference_names, shown.counts, shown.row_shares(), strict=True
+    ):
+        cells = zip(counts, shares, strict=True)
+        rows.append((name, *(f"{count:,} ({percent(share)})" for count, share in cells)))
     title = "reference in rows, predicted in columns: records (share of the row)"
     print_table(title, ("reference", *shown.predicted_names), rows)
     print_table(
@@ -495,8 +478,8 @@ def print_evaluation(
         ("class", *CLASS_SCORES),
         [score_row(item, intervals) for item in scores(shown).classes],
     )
-    counts = f"scored {table.n_scored:,} records, ignored {table.n_ignored:,}"
-    results().print(f"{counts}: {overall_line(table, intervals)}")
+    n_records = f"scored {table.n_scored:,} records, ignored {table.n_ignored:,}"
+    results().print(f"{n_records}: {overall_line(table, intervals)}")
 
 
 def print_evaluation_details(evaluation: Evaluation, gates: Sequence[GateResult]) -> None:

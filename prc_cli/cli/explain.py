@@ -86,14 +86,14 @@ def _print(explanation: Explanation) -> None:
         rows.append((name, _readable(value)))
     print_facts(rows)
     facts = [f"record {explanation.record:,}" if explanation.record >= 0 else "no record"]
-    facts += [] if explanation.range_m is None else [f"range {explanation.range_m:.3f} m"]
-    facts += [] if explanation.time_s is None else [f"time {explanation.time_s:.6f} s"]
-    facts += (
-        []
-        if explanation.beam_deg is None
-        else [f"{explanation.beam_deg:.2f} deg from straight down"]
-    )
-    facts += [f"scanner {explanation.scanner}"] if explanation.scanner else []
+    if explanation.range_m is not None:
+        facts.append(f"range {explanation.range_m:.3f} m")
+    if explanation.time_s is not None:
+        facts.append(f"time {explanation.time_s:.6f} s")
+    if explanation.beam_deg is not None:
+        facts.append(f"{explanation.beam_deg:.2f} deg from straight down")
+    if explanation.scanner:
+        facts.append(f"scanner {explanation.scanner}")
     print_result(", ".join(facts))
     chosen = ""
     if explanation.chosen is not None:

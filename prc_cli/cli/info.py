@@ -374,52 +374,38 @@ def _check_rows(inspection: Inspection, *, listed: bool) -> Iterator[tuple[str, 
         yield f"check: {finding.check}", f"{verdict}: {finding.problem}{hint}"
 
 
-def _first_words(words: Sequence[str], *, verbose: bool) -> list[str]:
-    if verbose or len(words) <= MOST_SHOWN:
-        return list(words)
-    return [*words[:MOST_SHOWN], f"and {len(words) - MOST_SHOWN} more"]
-
-
 def _contents_rows(contents: Contents, *, verbose: bool) -> Iterator[tuple[str, str]]:
     if contents.bounds_m:
         spans = ", ".join(
             f"{axis} {low:,.2f} to {high:,.2f}" for axis, (low, high) in contents.bounds_m.items()
         )
-        where = {True: ": registered", False: ": may be relative to the scanner", None: ""}[
-            contents.is_registered
-        ]
-        yield "bounds", f"{spans} m{where}"
+        frames = {True: ": registered", False: ": may be relative to the scanner", None: ""}
+        yield "bounds", f"{spans} m{frames[contents.is_registered]}"
     if contents.time_s is not None:
         first, last = contents.time_s
         yield "times", f"{first:,.6f} to {last:,.6f} s: {last - first:,.3f} s"
     names = ASPRS | contents.class_names
-    for name, counts in (
-        (
-            "classes",
-            {
-                f"{code} {names.get(code, '')}".strip(): n
-                for code, n in sorted(contents.classes.items())
-            },
-        ),
-        (
-            "returns",
-            dict(
-                sorted(
-                    contents.returns.items(),
-                    key=lambda item: [float(n) for n in item[0].split(" of ")],
-                )
-            ),
-        ),
-        ("point sources", {str(code): n for code, n in sorted(contents.sources.items())}),
-    ):
-        # one return a shot, and one source, are what everybody expects
-        if counts and (verbose or name == "classes" or len(counts) > 1):
-            yield (
-                name,
-                ", ".join(
-                    _first_words([f"{what}: {n:,}" for what, n in counts.items()], verbose=verbose)
-                ),
-            )
+    classes = [
+        f"{code} {names.get(code, '')}".strip() + f": {n:,}"
+        for code, n in sorted(contents.classes.items())
+    ]
+    if classes:
+        yield "classes", _first_of(classes, verbose=verbose)
+    # one return a shot, and one source, are what everybody expects
+    by_number = sorted(contents.returns, key=lambda name: [float(n) for n in name.split(" of ")])
+    returns = [f"{name}: {contents.returns[name]:,}" for name in by_number]
+    if returns and (verbose or len(returns) > 1):
+        yield "returns", _first_of(returns, verbose=verbose)
+    sources = [f"{code}: {n:,}" for code, n in sorted(contents.sources.items())]
+    if sources and (verbose or len(sources) > 1):
+        yield "point sources", _first_of(sources, verbose=verbose)
+
+
+def _first_of(words: Sequence[str], *, verbose: bool) -> str:
+    shown = list(words)
+    if not verbose and len(words) > MOST_SHOWN:
+        shown = [*words[:MOST_SHOWN], f"and {len(words) - MOST_SHOWN} more"]
+    return ", ".join(shown)
 
 
 def _stream_rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str, str]]:
@@ -428,7 +414,7 @@ def _stream_rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str
     rates = inspection.rates
     if facts is not None:
         rate = "" if facts.line_hz is None else f", {facts.line_hz:.6g} lines a second"
-        share = _share(facts.n_missing, facts.n_shots)
+        share = f"{facts.n_missing / facts.n_shots:.1%}" if facts.n_shots else "-"
         missing = f"{facts.n_missing:,} of {facts.n_shots:,} missing ({share})"
         yield (
             "scan lines",
@@ -455,7 +441,3 @@ def _stream_rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str
             text += f"; {rates.share:.0%} of the shots return"
             text += "; scan lines start where the scanner points into the sky"
         yield "rates", text
-
-
-def _share(part: int, whole: int) -> str:
-    return f"{part / whole:.1%}" if whole else "-"

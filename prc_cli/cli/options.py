@@ -41,17 +41,13 @@ def complete_assignment(
     ctx: click.Context, parameter: click.Parameter, incomplete: str
 ) -> list[str]:
     """Complete ``KEY=VALUE``: the keys of the configuration, then the words of a choice."""
+    from prc_cli.config import RunConfig
+
     key, equals, value = incomplete.partition("=")
-    kinds = dict(_keys())
+    kinds = dict(_keys_of(RunConfig, ""))
     if not equals:
         return [f"{name}=" for name in kinds if name.startswith(key)]
     return [f"{key}={word}" for word in _words(kinds.get(key)) if word.startswith(value)]
-
-
-def _keys() -> list[tuple[str, Any]]:
-    from prc_cli.config import RunConfig
-
-    return list(_keys_of(RunConfig, ""))
 
 
 def _keys_of(model: Any, prefix: str) -> Any:

@@ -14,7 +14,7 @@ from prc_cli.cli.output import print_json, print_line
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, ScanPath
 from prc_cli.cli.report import line_progress
 from prc_cli.core.errors import ConfigError
-from prc_cli.jobs.render import COLOURS, VIEWS, RenderOptions, RenderResult
+from prc_cli.jobs.render import COLOURS, VIEWS, RenderOptions
 from prc_cli.jobs.render import render as render_file
 
 
@@ -160,7 +160,7 @@ def render(
                 source, html, loaded, chosen, overwrite=overwrite, progress=progress
             )
     if as_json:
-        print_json(_as_dict(result))
+        print_json({**asdict(result), "files": [str(path) for path in result.files]})
     if not quiet:
         print_line(result.drawn)
         for note in result.notes:
@@ -201,10 +201,6 @@ def _render_options(options: dict[str, Any]) -> RenderOptions:
         line_spacing_m=options["line_spacing"],
         **{name: options[name] for name in _AS_GIVEN},
     )
-
-
-def _as_dict(result: RenderResult) -> dict[str, Any]:
-    return {**asdict(result), "files": [str(path) for path in result.files]}
 
 
 def _names(text: str) -> tuple[str, ...]:

@@ -33,28 +33,29 @@ def regroup(
     look_ahead: int | None = None,
 ) -> Iterator[ScanBlock]:
     """Cut a stream into blocks of ``lines_per_block`` lines, each with the lines that follow it."""
+
+    def lines_of(points_per_line: int) -> tuple[int, int]:
+        """Return the lines of a block, and the lines that follow it."""
+        n_lines = lines_per_block
+        if n_lines is None:
+            n_lines = max(1, shots_per_block // points_per_line)
+        return n_lines, look_ahead_lines(points_per_line) if look_ahead is None else look_ahead
+
     buffers: dict[int, LineBuffer] = {}
     for block in blocks:
         buffer = buffers.setdefault(block.scanner, LineBuffer())
         buffer.add(block)
-        ahead = look_ahead_lines(block.points_per_line) if look_ahead is None else look_ahead
-        k = lines_per_block
-        k = k if k is not None else max(1, shots_per_block // block.points_per_line)
-        if buffer.n_lines < k + ahead and buffer.n_lines * block.points_per_line > MOST_WAITING:
-            raise _too_wide(block.points_per_line, k)
-        while buffer.n_lines >= k + ahead:
-            yield buffer.take(k, ahead)
+        n_lines, ahead = lines_of(block.points_per_line)
+        is_waiting = buffer.n_lines < n_lines + ahead
+        if is_waiting and buffer.n_lines * block.points_per_line > MOST_WAITING:
+            raise _too_wide(block.points_per_line, n_lines)
+        while buffer.n_lines >= n_lines + ahead:
+            yield buffer.take(n_lines, ahead)
         if block.is_last:
-            yield from _rest(buffers.pop(block.scanner), k, ahead)
+            yield from _rest(buffers.pop(block.scanner), n_lines, ahead)
     for scanner in sorted(buffers):
         buffer = buffers[scanner]
-        width = buffer.parts[0].points_per_line
-        n_lines = (
-            lines_per_block if lines_per_block is not None else max(1, shots_per_block // width)
-        )
-        yield from _rest(
-            buffer, n_lines, look_ahead_lines(width) if look_ahead is None else look_ahead
-        )
+        yield from _rest(buffer, *lines_of(buffer.parts[0].points_per_line))
 
 
 def _too_wide(points_per_line: int, lines_per_block: int) -> InputError:
@@ -134,13 +135,14 @@ def join(parts: list[ScanBlock]) -> ScanBlock:
     tally = ReadTally()
     for part in parts:
         tally = tally + part.tally
+    record = None
+    # None means dense; one part with explicit indices makes all of them explicit
+    if any(part.record is not None for part in parts):
+        record = np.concatenate([part.records() for part in parts])
     return replace(
         parts[0],
         range_m=np.concatenate([part.range_m for part in parts]),
-        # None means dense; one part with explicit indices makes all of them explicit
-        record=None
-        if all(part.record is None for part in parts)
-        else np.concatenate([p.records() for p in parts]),
+        record=record,
         time_s=_join_field([part.time_s for part in parts]),
         xyz_m=_join_field([part.xyz_m for part in parts]),
         intensity=_join_field([part.intensity for part in parts]),

@@ -181,9 +181,10 @@ def check_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...] = ()) 
             str(path), "is a pipe or a device, expected the name of a file", "choose another name"
         )
     if path.exists() and not overwrite:
-        raise OutputExistsError(
-            str(path), _exists_words(path), "choose another name or add --overwrite"
-        )
+        problem = "exists already"
+        if any(is_same(part, path) for part in _dead_parts(path)):
+            problem += ", left by a killed run of another command or input"
+        raise OutputExistsError(str(path), problem, "choose another name or add --overwrite")
     folder = path.parent
     if not folder.is_dir():
         raise OutputError(
@@ -201,15 +202,6 @@ def _refuse_inputs(path: Path, inputs: Sequence[Path]) -> None:
         if path.exists() and source.exists() and is_one_file(path, source):
             problem = "the output is the input itself; inputs are never modified"
             raise OutputExistsError(str(path), problem, "choose another output name")
-
-
-def _exists_words(path: Path) -> str:
-    is_left = any(is_same(part, path) for part in _dead_parts(path))
-    return (
-        "exists already, left by a killed run of another command or input"
-        if is_left
-        else "exists already"
-    )
 
 
 def prepare_outputs(
@@ -354,7 +346,8 @@ def remove_unfinished(
     for number, path in enumerate(paths, 1):
         for part in _dead_parts(path):
             if is_same(part, path):
-                if key is not None and _run_of(part) not in (key, None):
+                name = _TEMPORARY.fullmatch(part.name)
+                if key is not None and name is not None and name["run"] not in (key, None):
                     continue
                 n_placed = number
                 proven.add(path)
@@ -375,11 +368,6 @@ def _dead_parts(path: Path) -> Iterator[Path]:
     for part in tuple(parts_of(path, _machine())):
         if is_left_behind(part):
             yield part
-
-
-def _run_of(part: Path) -> str | None:
-    name = _TEMPORARY.fullmatch(part.name)
-    return None if name is None else name["run"]
 
 
 def _remove(path: Path) -> None:

@@ -73,18 +73,13 @@ def is_one_file(first: Path, second: Path) -> bool:
         return os.path.realpath(first) == os.path.realpath(second)
 
 
-def _is_inside(path: Path, folder: Path) -> bool:
-    return (
-        os.path.lexists(path)
-        and Path(os.path.realpath(folder)) in Path(os.path.realpath(path)).parents
-    )
-
-
 def _compare(output: Path, source: Path, suffixes: Collection[str]) -> None:
-    problem = ""
     if is_one_file(output, source):
         problem = "the output is the input itself; inputs are never modified"
-    elif suffixes and _is_inside(output, source) and output.name.lower().endswith(tuple(suffixes)):
+        raise OutputExistsError(str(output), problem, _HINT)
+    if not suffixes or not os.path.lexists(output):
+        return
+    is_inside = Path(os.path.realpath(source)) in Path(os.path.realpath(output)).parents
+    if is_inside and output.name.lower().endswith(tuple(suffixes)):
         problem = f"is a file of {source}, which is read; inputs are never modified"
-    if problem:
         raise OutputExistsError(str(output), problem, _HINT)

@@ -42,13 +42,13 @@ def parse_window(only_lines: str | None, only_time: str | None, first: str | Non
         message = "one of only_lines, only_time and first, not several"
         raise ValueError(message)
     if only_lines is not None:
-        return _of_lines(only_lines)
+        return _window_of_lines(only_lines)
     if only_time is not None:
-        return _of_times(only_time)
-    return None if first is None else _of_first(first)
+        return _window_of_times(only_time)
+    return None if first is None else _window_of_first(first)
 
 
-def _of_lines(text: str) -> Window:
+def _window_of_lines(text: str) -> Window:
     match = _LINES.fullmatch(text.strip())
     expected = "A:B, lines A to B - 1 counted from 0, such as 200:300, 200: or :300"
     if match is None:
@@ -60,7 +60,7 @@ def _of_lines(text: str) -> Window:
     return window
 
 
-def _of_times(text: str) -> Window:
+def _window_of_times(text: str) -> Window:
     match = _TIMES.fullmatch(text.strip())
     expected = (
         "A:B, from A until just before B, in the stream's own seconds (prc info shows them), "
@@ -82,7 +82,7 @@ def _of_times(text: str) -> Window:
     return window
 
 
-def _of_first(text: str) -> Window:
+def _window_of_first(text: str) -> Window:
     match = _FIRST.fullmatch(text.strip())
     size = float(match.group(1)) if match is not None else 0.0
     in_lines = match is not None and match.group(2).startswith("line")
