@@ -137,9 +137,8 @@ def refuse_poor_match(
         "matched by order needs equal counts"
     )
     usual_hint = (
-        "give two label files of the same stream (LAS holds no shots without return); "
-        "labels of a part of it: --match time, "
-        "or label the whole and give --only-lines, --only-time or --first here"
+        "give two label files of the same stream (LAS has no missing shots); "
+        "for a part of it: --match time, --only-lines, --only-time or --first"
     )
     raise InputError(predicted_name, problem, hint or usual_hint)
 

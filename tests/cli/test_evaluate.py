@@ -13,6 +13,7 @@ import pytest
 
 from prc_cli.cli import main
 from tests.formats.las.lasbytes import make_las
+from tests.messages import check_messages, folded
 
 
 class Prc:
@@ -26,7 +27,8 @@ class Prc:
         with pytest.raises(SystemExit) as stop:
             main(["evaluate", *(str(argument) for argument in arguments)])
         captured = self._capsys.readouterr()
-        return int(stop.value.code or 0), captured.out, captured.err
+        check_messages(captured.err)
+        return int(stop.value.code or 0), captured.out, folded(captured.err)
 
 
 @pytest.fixture
