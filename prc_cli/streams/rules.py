@@ -60,8 +60,8 @@ _FIRED = frozenset(("range", "scan_line", "column", "angle", "time"))
 LOST = "the file has no times, scan lines or ranges, so the order of the shots is lost"
 LOST_HINT = (
     "classify the raw drive, then prc transfer; "
-    "if x, y, z are relative to the scanner: --lines elevation:DEG --range sensor-xyz; "
-    "if the shots are in order: --trust-order"
+    "for x, y, z of the scanner: --lines elevation:DEG --range sensor-xyz; "
+    "for shots in order: --trust-order"
 )
 
 

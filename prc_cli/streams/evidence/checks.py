@@ -375,8 +375,8 @@ def check_ranges(seen: Seen) -> Finding | None:
 
 BY_PLACE = ("units", "down", "angle-step")
 """Checks that a wrong trajectory fails first of all."""
-LATE = "check the trajectory: its clock (input.trajectory_time_offset), its frame and its lever arm"
-OTHER_UNIT = "if x, y, z and the trajectory are in another unit: "
+LATE = "check the trajectory: input.trajectory_time_offset, its frame and its lever arm"
+OTHER_UNIT = "if in another unit: "
 
 
 def ask_all(seen: Seen) -> Iterator[Finding]:

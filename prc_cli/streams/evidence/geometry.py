@@ -193,9 +193,10 @@ def check_angle_step(seen: Seen) -> Finding | None:
     )
     measured_text = f"the ranges show {factor:.2f} times the angle from shot to shot in use"
     shown = f"{math.degrees(measured.step_rad):.4g} deg, known to {measured.off:.1%}"
-    hint = "check the angles of the shots: input.angle_step, and -M where it was computed from M"
-    hint += f"; to use the angles that the ranges show: {_MEASURED}"
-    hint = hint if verdict else ""
+    hint = ""
+    if verdict:
+        hint = "check the angles of the shots (input.angle_step) and -M"
+        hint += f"; to use the measured angles: {_MEASURED}"
     expected = f"{1 - MOST_DOUBTLESS:g} to {1 + MOST_DOUBTLESS:g}"
     return Finding(ANGLE_STEP, verdict, f"{measured_text} ({shown})", expected, hint)
 

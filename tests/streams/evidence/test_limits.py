@@ -393,8 +393,8 @@ def test_angle_step(
         f"the ranges show {factor:.2f} times the angle from shot to shot in use "
         f"({factor:.4g} deg, known to "
     )
-    hint = "; check the angles of the shots: input.angle_step, and -M where it was computed from M"
-    hint += "; to use the angles that the ranges show: --set input.angles=measured"
+    hint = "; check the angles of the shots (input.angle_step) and -M"
+    hint += "; to use the measured angles: --set input.angles=measured"
     hint = hint if verdict else ""
     assert verdict_of_shots(check_angle_step(shots())) == (
         verdict,
