@@ -126,7 +126,7 @@ def check_coordinates(seen: Seen) -> Finding | None:
         "range", f"the range {seen.info.facts.range_name!r}", 1
     )
     hint = (
-        "name the range: --range dimension:NAME, trajectory:FILE or origin:X,Y,Z; "
+        "give --range dimension:NAME, trajectory:FILE or origin:X,Y,Z; "
         f"if only angles are wrong: --set {ANGLES}=measured"
     )
     expected = f"at most {MOST_OFF:.0%}"
