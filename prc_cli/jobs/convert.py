@@ -131,12 +131,10 @@ def convert(
             return _copy(scan, output, loaded)
         return _copy_window(scan, output, loaded, progress)
     run = Run(scan, loaded, progress)
-    watches: list[Stream] = []
 
     def watched_blocks(stream: Stream) -> Iterator[ScanBlock]:
         # warnings do not stop a conversion: it is a way to repair a file
-        watches.append(watched(stream, loaded.config.input, refuses=False))
-        return watches[-1].blocks()
+        return watched(stream, loaded.config.input, refuses=False).blocks()
 
     with (
         open_items(scan, output, loaded, blocks_of=watched_blocks) as opened,
@@ -148,7 +146,7 @@ def convert(
         losses = find_losses(output, opened, run.counts, writer.losses)
         not_kept = (f"not kept: {loss}" for loss in losses)
         notes = (*opened.notices, *not_kept, *how_to_read(output, opened, run.counts))
-        findings = tuple(watches[-1].observed.findings)
+        findings = tuple(opened.stream.observed.findings)
         info = opened.stream.info  # now the lines of a window are known
         record = run.record(info, findings, notes)
         record = run.finish(writer, record_of_scanners(record, run.counts))
