@@ -33,10 +33,11 @@ from prc_cli.core.process import raise_or_hold
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from prc_cli.jobs.batch.engine import Engine
     from prc_cli.jobs.batch.outputs import Verified
     from prc_cli.jobs.batch.report import BatchSummary
     from prc_cli.jobs.batch.run import RunEvent
-    from prc_cli.jobs.batch.types import BatchSettings, Engine
+    from prc_cli.jobs.batch.types import BatchSettings
 
 _TYPED = "prc_cli.batch.typed"
 _COMMAND_SCHEMA = 2

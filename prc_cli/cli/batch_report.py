@@ -21,24 +21,14 @@ from prc_cli.core.findings import is_doubt
 from prc_cli.core.version import __version__
 from prc_cli.evaluation.reports import percent
 from prc_cli.evaluation.scores import CLASS_SCORES, scores
+from prc_cli.jobs.batch.engine import Compared, Progress, Started
+from prc_cli.jobs.batch.journal import Entry, Run
 from prc_cli.jobs.batch.lock import Holder
+from prc_cli.jobs.batch.outcomes import Done, Doubted, Failed, Problem
 from prc_cli.jobs.batch.outputs import Cleaned, Verified
 from prc_cli.jobs.batch.plan import Estimate, Plan
-from prc_cli.jobs.batch.report import BatchSummary, done_dict, failed_dict
+from prc_cli.jobs.batch.report import Alarm, BatchSummary
 from prc_cli.jobs.batch.run import Again, Noted, Ready, RunEvent
-from prc_cli.jobs.batch.types import (
-    Alarm,
-    Compared,
-    Done,
-    Doubted,
-    Entry,
-    Failed,
-    Problem,
-    Progress,
-    Run,
-    Started,
-    doubts_of,
-)
 
 SHOWN = 20
 """Files that are listed by name at the end; all of them are in ``summary.json``."""
@@ -333,9 +323,9 @@ class JsonLog:
                 threads=event.threads,
             )
         elif isinstance(event, Done):
-            self._write("file_done", **done_dict(event))
+            self._write("file_done", **event.as_dict())
         elif isinstance(event, Failed):
-            self._write("file_failed", **failed_dict(event))
+            self._write("file_failed", **event.as_dict())
         elif isinstance(event, Again):
             problem = event.problem
             self._write("file_again", name=event.name, kind=problem.kind, problem=problem.problem)
@@ -561,7 +551,7 @@ def plan_dict(plan: Plan, estimate: Estimate) -> dict[str, Any]:
         "bytes": plan.n_bytes,
         "skipped": len(plan.done),
         "adopted": [file.name for _, file in plan.adopted],
-        "refused": [failed_dict(file) for file in plan.refused],
+        "refused": [file.as_dict() for file in plan.refused],
         "left_out": [asdict(file) for file in plan.left_out],
         "beyond_limit": plan.n_beyond_limit,
         "not_selected": plan.n_not_selected,
@@ -630,7 +620,7 @@ def status_dict(
         "at_work": [asdict(holder.owner) for holder in owners if holder.alive],
         "dead_owners": [asdict(holder.owner) for holder in owners if not holder.alive],
         "counts": dict(Counter(entry.state for entry in entries)),
-        "doubted": [asdict(doubt) for entry in entries for doubt in doubts_of(entry)],
+        "doubted": [asdict(doubt) for entry in entries for doubt in entry.doubts],
         "runs": [asdict(run) | {"totals": dict(run.totals)} for run in runs],
         "files": [_entry_dict(entry) for entry in entries],
     }
@@ -649,10 +639,8 @@ def _entry_dict(entry: Entry) -> dict[str, Any]:
         "owner",
     )
     table = {key: getattr(entry, key) for key in same}
-    if isinstance(entry.outcome, Done):
-        table["outcome"] = done_dict(entry.outcome)
-    elif entry.outcome is not None:
-        table["outcome"] = failed_dict(entry.outcome)
+    if entry.outcome is not None:
+        table["outcome"] = entry.outcome.as_dict()
     return table
 
 
@@ -664,7 +652,7 @@ def print_status(
 ) -> None:
     """Print the state of an output folder on stdout."""
     counts = Counter(entry.state for entry in entries)
-    doubts = [doubt for entry in entries for doubt in doubts_of(entry)]
+    doubts = [doubt for entry in entries for doubt in entry.doubts]
     at_work = {str(holder.owner) for holder in owners if holder.alive}
     # a run that died leaves files in the state "running"
     n_running = sum(entry.state == "running" and entry.owner in at_work for entry in entries)

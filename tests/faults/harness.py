@@ -20,9 +20,9 @@ from pathlib import Path
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import BusyError
 from prc_cli.core.files import is_younger
-from prc_cli.jobs.batch.journal import journal_paths, read_entries
+from prc_cli.jobs.batch.journal import Entry, journal_paths, read_entries
 from prc_cli.jobs.batch.outputs import clean
-from prc_cli.jobs.batch.types import OWN_FOLDER, Entry
+from prc_cli.jobs.batch.types import OWN_FOLDER
 from prc_cli.jobs.classify import load_classifier
 from prc_cli.jobs.simulate import simulate
 from prc_cli.simulation.settings import load_settings

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from prc_cli.jobs.batch.journal import read_runs
-from prc_cli.jobs.batch.types import OWN_FOLDER, Entry
+from prc_cli.jobs.batch.journal import Entry, read_runs
+from prc_cli.jobs.batch.types import OWN_FOLDER
 from tests.faults import step_kills
 from tests.faults.harness import (
     FAST,

@@ -29,18 +29,9 @@ from typing import Any, TypeAlias
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.threads import TICK_S, drain
 from prc_cli.core.version import __version__
-from prc_cli.jobs.batch.local import remove_left
-from prc_cli.jobs.batch.types import (
-    OWN_FOLDER,
-    EngineSettings,
-    Event,
-    Outcome,
-    Problem,
-    Progress,
-    Started,
-    Task,
-    failed,
-)
+from prc_cli.jobs.batch.engine import EngineSettings, Event, Progress, Started, failures
+from prc_cli.jobs.batch.outcomes import Outcome, Problem, remove_left
+from prc_cli.jobs.batch.types import OWN_FOLDER, Task
 from prc_cli.jobs.batch.worker import beat, run_item
 
 EXTRA = "prc-cli[dask]"
@@ -151,7 +142,7 @@ def do_order(order: Order) -> Report:
             problem = f"no such file on {socket.gethostname()}, where a worker needs it"
             hint = "mount the archive there under the same path"
             missing = Problem("InputError", str(task.source), problem, hint)
-            return Report(me, tuple(failed(task, 0.0, missing)))
+            return Report(me, tuple(failures(task, 0.0, missing)))
         if (trajectory := task.config.trajectory) is not None and not trajectory.is_absolute():
             os.chdir(order.folder)
         return Report(me, run_item(task, threads=order.threads, progress=lines))
@@ -478,7 +469,7 @@ class _ClusterRun:
             problem = Problem("interrupted", name, stopped, "run again")
         else:
             problem = Problem.of(error)
-        return Report(worker, tuple(failed(job.task, seconds, problem)))
+        return Report(worker, tuple(failures(job.task, seconds, problem)))
 
     def _watch(self) -> Iterator[Event]:
         """Fail files without progress for too long, and restart their workers."""
@@ -497,7 +488,7 @@ class _ClusterRun:
                 "timeout", name, f"no progress for {stall_s:g} s on {job.worker}, given up", hint
             )
             self._client.cancel([job.future], force=True)
-            yield from failed(job.task, now - (job.begun or now), problem)
+            yield from failures(job.task, now - (job.begun or now), problem)
             try:
                 answers = self._client.restart_workers(
                     [job.worker], timeout=STOP_S, raise_for_error=False

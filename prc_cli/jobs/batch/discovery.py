@@ -23,7 +23,7 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import suffix_of
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.registry import by_suffix
-from prc_cli.jobs.batch.types import OWN_FOLDER, BatchSettings, LeftOut
+from prc_cli.jobs.batch.types import OWN_FOLDER, BatchSettings
 from prc_cli.jobs.drive import LABELS, output_name
 
 PATIENCE_S = 60.0
@@ -43,6 +43,14 @@ class InputFile:
     """Time of the last change [ns since 1970]."""
     drive: str = ""
     """Name of the drive, see :class:`Drives`; of a single file, its name."""
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """A file or folder of the archive that prc does not read, although the user might expect it."""
+
+    name: str
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,28 +22,25 @@ import secrets
 import shlex
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 from prc_cli.core.errors import BusyError, InputError, OutputError
 from prc_cli.core.files import make_folder, refuse_links, why_not_written
 from prc_cli.core.version import __version__
-from prc_cli.jobs.batch.types import (
+from prc_cli.jobs.batch.outcomes import (
     Done,
-    Entry,
+    Doubted,
     Failed,
-    InputPrint,
     Outcome,
-    Problem,
-    Run,
-    Shard,
-    State,
-    Task,
-    own_name,
+    check_type,
+    from_json,
+    to_json,
 )
+from prc_cli.jobs.batch.types import Shard, Task, own_name
 
 SCHEMA = 2
 """Version of the tables; prc refuses a journal with another version."""
@@ -83,6 +80,59 @@ VALUES (:name, :state, '', :version, :run, 0, :now, :now, '', :owns, :outcome)
 ON CONFLICT (name) DO UPDATE SET
     state = :state, finished = :now, owns_output = min(owns_output, :owns), outcome = :outcome
 """
+
+
+State: TypeAlias = Literal["running", "done", "failed"]
+"""State of a file in the journal.
+
+``running`` without a living run means that the run was stopped or killed.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """Journal entry of one file."""
+
+    name: str
+    state: State
+    config_sha256: str
+    version: str
+    run: str
+    attempts: int
+    """Number of attempts since the file was last done, including the current one."""
+    started: str
+    finished: str | None
+    """None while running."""
+    owner: str
+    outcome: Outcome | None
+    """Outcome of the last attempt that ended; a later attempt may have been cut off."""
+    owns_output: bool = True
+    """Whether a worker of this program was sent to write the output; False for refused files."""
+    source: str = ""
+    """Real path of the input of the output; empty in journals of versions before 1.2."""
+
+    @property
+    def doubts(self) -> tuple[Doubted, ...]:
+        """The doubts about its output; none for files that are not done."""
+        if self.state == "done" and isinstance(self.outcome, Done):
+            return self.outcome.doubts
+        return ()
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Journal entry of one run."""
+
+    id: str
+    shard: str
+    """``i/n``; empty for the whole archive."""
+    version: str
+    owner: str
+    started: str
+    finished: str | None
+    """None for a run that is running or was killed."""
+    exit_code: int | None
+    totals: tuple[tuple[str, int], ...] = ()
 
 
 def journal_paths(folder: Path) -> list[Path]:
@@ -191,7 +241,7 @@ class Journal:
             "run": self.run,
             "now": _now(),
             "owns": int(known and not foreign),
-            "outcome": json.dumps(asdict(outcome)),
+            "outcome": to_json(outcome),
         }
         with _errors(self.path):
             self._database.execute(_FINISH, values)
@@ -382,35 +432,6 @@ def _newest(entries: Iterable[Entry]) -> dict[str, Entry]:
     return newest
 
 
-_COUNTS = (
-    "size",
-    "mtime_ns",
-    "output_size",
-    "output_mtime_ns",
-    "seconds",
-    "cpu_seconds",
-    "n_lines",
-    "n_shots",
-    "n_records",
-)
-_TEXTS = ("kind", "where", "hint", "output_name")
-
-
-def _need(kind: type | tuple[type, ...], *values: Any) -> None:
-    # SQLite stores values of any type in any column
-    for value in values:
-        if not isinstance(value, kind):
-            message = f"found {str(value)[:40]!r}"
-            raise ValueError(message)
-
-
-def _sound(table: dict[str, Any]) -> dict[str, Any]:
-    # refuse a table of an outcome with values of other types
-    _need((int, float), *(table[key] for key in _COUNTS if key in table))
-    _need(str, *(table[key] for key in _TEXTS if key in table))
-    return table
-
-
 def _entry(row: tuple[Any, ...]) -> Entry:
     (
         name,
@@ -426,12 +447,12 @@ def _entry(row: tuple[Any, ...]) -> Entry:
         owns,
         source,
     ) = row
-    _need(str, config_sha256, version, run, started, owner, finished or "")
-    _need(int, attempts, owns)
+    check_type(str, config_sha256, version, run, started, owner, finished or "")
+    check_type(int, attempts, owns)
     if state not in get_args(State):
         message = f"state {str(state)[:40]!r}"
         raise ValueError(message)
-    last_outcome = None if outcome is None else _outcome(json.loads(outcome, object_hook=_sound))
+    last_outcome = None if outcome is None else from_json(outcome)
     return Entry(
         os.fsdecode(name),
         state,
@@ -448,19 +469,10 @@ def _entry(row: tuple[Any, ...]) -> Entry:
     )
 
 
-def _outcome(table: dict[str, Any]) -> Outcome:
-    input_print = None if table["input"] is None else InputPrint(**table["input"])
-    if "problem" in table:
-        return Failed(table["name"], input_print, table["seconds"], Problem(**table["problem"]))
-    labels = tuple((str(label), int(count)) for label, count in table["labels"])
-    notices = tuple(map(str, table["notices"]))
-    return Done(**table | {"input": input_print, "labels": labels, "notices": notices})
-
-
 def _run(row: tuple[Any, ...]) -> Run:
     run, shard, version, owner, started, finished, exit_code, totals = row
-    _need(str, run, shard, version, owner, started, finished or "")
-    _need(int, exit_code or 0)
+    check_type(str, run, shard, version, owner, started, finished or "")
+    check_type(int, exit_code or 0)
     counts = tuple((str(key), int(count)) for key, count in json.loads(totals).items())
     return Run(run, shard, version, owner, started, finished, exit_code, counts)
 

@@ -23,21 +23,11 @@ from pathlib import Path
 from typing import Any
 
 from prc_cli.core.errors import ConfigError, PrcError
-from prc_cli.core.files import remove_unfinished
 from prc_cli.core.threads import default_threads, drain
-from prc_cli.formats.writing.record import record_path
-from prc_cli.jobs.batch.types import (
-    Comparison,
-    EngineSettings,
-    Event,
-    Failed,
-    Problem,
-    Progress,
-    Started,
-    Task,
-    failed,
-)
-from prc_cli.jobs.batch.worker import MEMORY, READY, STOP_S
+from prc_cli.jobs.batch.engine import Comparison, EngineSettings, Event, Progress, Started, failures
+from prc_cli.jobs.batch.outcomes import MEMORY, Failed, Problem, remove_left
+from prc_cli.jobs.batch.types import Task
+from prc_cli.jobs.batch.worker import READY, STOP_S
 
 START_S = 120.0
 """Time limit for a worker to get ready [s]."""
@@ -277,7 +267,7 @@ class _Pool:
         worker.clean_up()
         if worker.task is not None:
             problem = worker.kill_reason or _death(worker.task, code, printed)
-            yield from failed(worker.task, time.monotonic() - worker.begun, problem)
+            yield from failures(worker.task, time.monotonic() - worker.begun, problem)
         elif not worker.ready:
             self._failed_starts += 1
             if self._failed_starts >= FAILED_STARTS:
@@ -312,7 +302,7 @@ class _Pool:
         worker.task = None
         worker.clean_up()
         if task is not None:
-            yield from failed(task, time.monotonic() - worker.begun, kill_reason)
+            yield from failures(task, time.monotonic() - worker.begun, kill_reason)
 
 
 _NEW_GROUP = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
@@ -353,10 +343,3 @@ def _how_ended(code: int, printed: str) -> str:
         return f"ended with exit code {code}{last}"
     names = {number.value: f" ({number.name})" for number in signal.Signals}
     return f"was killed by signal {-code}{names.get(-code, '')}{last}"
-
-
-def remove_left(task: Task) -> None:
-    """Remove the temporary files of a task whose worker died."""
-    outputs = [path for file in task.files for path in (file.output, record_path(file.output))]
-    with contextlib.suppress(OSError):
-        remove_unfinished(*outputs, keeps_whole=True)

@@ -17,7 +17,8 @@ from prc_cli.core.files import is_left_behind, read_small, refuse_links
 from prc_cli.formats.writing.record import LARGEST_RECORD, RECORD_SUFFIX, fingerprint
 from prc_cli.jobs.batch.journal import Journal, journal_paths, read_entries
 from prc_cli.jobs.batch.lock import Lock
-from prc_cli.jobs.batch.types import OWN_FOLDER, Done
+from prc_cli.jobs.batch.outcomes import Done
+from prc_cli.jobs.batch.types import OWN_FOLDER
 
 _SHARED = re.compile(r"shared-[0-9a-f]{16}")
 """Empty files with which a run on Dask checks whether its workers see OUT."""

@@ -23,24 +23,21 @@ from prc_cli.config import (
 )
 from prc_cli.core.config import read_toml
 from prc_cli.core.errors import ConfigError, InputError, OutputError, OutputExistsError, PrcError
-from prc_cli.core.files import is_same, parts_of, suffix_of
+from prc_cli.core.files import suffix_of
 from prc_cli.core.findings import accepted_doubt_of
 from prc_cli.core.version import __version__
-from prc_cli.formats.writing.record import RunRecord, fingerprint, read_record, record_path
-from prc_cli.jobs.batch.discovery import InputFile, Patterns, collisions
-from prc_cli.jobs.batch.types import (
-    BatchSettings,
-    ConfigLayers,
+from prc_cli.formats.writing.record import fingerprint, record_path
+from prc_cli.jobs.batch.discovery import InputFile, LeftOut, Patterns, collisions
+from prc_cli.jobs.batch.journal import Entry
+from prc_cli.jobs.batch.outcomes import (
     Done,
-    Entry,
     Failed,
     InputPrint,
-    LeftOut,
     Problem,
-    Task,
-    doubts_of,
+    is_whole,
+    recorded_outcome,
 )
-from prc_cli.jobs.choice import possible_configs
+from prc_cli.jobs.batch.types import BatchSettings, ConfigLayers, Task
 from prc_cli.jobs.drive import is_of_drive, output_name
 from prc_cli.streams.evidence.watch import accepted_by
 
@@ -435,7 +432,7 @@ def _decide_foreign(
 ) -> Planned | Done:
     # an output that no journal knows
     input_print = InputPrint(file.size, file.mtime_ns, None)
-    outcome = outcome_of_record(task, input_print, written) if settings.adopt else None
+    outcome = recorded_outcome(task, input_print, written) if settings.adopt else None
     if outcome is None:
         raise _foreign(task.output, adopt=settings.adopt)
     if not is_whole(task.output, written, outcome):
@@ -502,7 +499,7 @@ def _compare(
 def _accepts_other_doubts(done: Done, config: RunConfig, version: str) -> bool:
     """Check whether the configuration now accepts a doubt of the output, or no longer does."""
     now = set(accepted_by(config.input))
-    doubts = {doubt.check for doubt in doubts_of(done)}
+    doubts = {doubt.check for doubt in done.doubts}
     then = {check for notice in done.notices if (check := accepted_doubt_of(notice)) is not None}
     return bool(doubts & now) or (version == __version__ and not then <= now)
 
@@ -542,72 +539,6 @@ def _is_changed(
     ):
         return False
     return not is_whole(output, written, before)
-
-
-# -- existing outputs ------------------------------------------------------------------------------
-
-
-def outcome_of_record(task: Task, before: InputPrint, written: os.stat_result) -> Done | None:
-    """Return the outcome of an existing output whose record equals the one of this run.
-
-    The list of accepted doubts may differ. None = no record, another one, or a damaged one.
-    """
-    try:
-        record = read_record(task.output)
-        trajectory = None if task.config.trajectory is None else fingerprint(task.config.trajectory)
-        content = fingerprint(task.source)
-        records = [
-            RunRecord(config.of_run(), content, "", 1, trajectory=trajectory).as_dict()
-            for config in possible_configs(task.config)
-        ]
-        for table in (record, *records):
-            table["config"].get("input", {}).pop("accept_doubts", None)
-        keys = ("program", "version", "config", "input", "trajectory")
-        if not any(all(record[key] == table[key] for key in keys) for table in records):
-            return None
-        if not is_of_drive(record["notices"], task.drive_files):
-            return None
-        stream = record["stream"]
-        labels = [(str(count["name"]), int(count["count"])) for count in record["classes"]]
-        return Done.of(
-            task,
-            record,
-            before.mtime_ns,
-            written.st_mtime_ns,
-            n_shots=int(stream["n_lines"]) * int(stream["points_per_line"]),
-            labels=(("missing", int(stream["n_missing"])), *labels),
-        )
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        RecursionError,
-        OverflowError,
-    ):
-        return None
-
-
-def is_whole(output: Path, written: os.stat_result, done: Done) -> bool:
-    """Check whether an output has the recorded size and content; reads it."""
-    return written.st_size == done.output_size and fingerprint(output).sha256 == done.output_sha256
-
-
-def remove_unfinished(task: Task) -> bool:
-    """Remove an output whose process died before it finished; return whether there was one.
-
-    See :func:`prc_cli.core.files.place`.
-    """
-    was_unfinished = False
-    for path in (record_path(task.output), task.output):
-        with contextlib.suppress(OSError):
-            for part in tuple(parts_of(path)):
-                if is_same(part, path):
-                    path.unlink()
-                    part.unlink()
-                    was_unfinished = True
-    return was_unfinished
 
 
 # -- estimates -------------------------------------------------------------------------------------

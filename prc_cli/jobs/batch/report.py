@@ -25,21 +25,11 @@ from prc_cli.evaluation.reports import gate_dicts
 from prc_cli.evaluation.scores import Gate, GateResult, Scores, check_gates, parse_gate, scores
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.labels import code_suffix_of
+from prc_cli.jobs.batch.discovery import LeftOut
+from prc_cli.jobs.batch.engine import Compared, Comparison, EngineSettings
 from prc_cli.jobs.batch.local import LocalEngine
-from prc_cli.jobs.batch.types import (
-    Alarm,
-    Compared,
-    Comparison,
-    Done,
-    Doubted,
-    EngineSettings,
-    Failed,
-    LeftOut,
-    Problem,
-    ReferenceSettings,
-    Shard,
-    own_name,
-)
+from prc_cli.jobs.batch.outcomes import Done, Doubted, Failed, Problem
+from prc_cli.jobs.batch.types import ReferenceSettings, Shard, own_name
 from prc_cli.jobs.evaluate.options import (
     DEFAULT_MAPPING,
     MAPPINGS,
@@ -55,6 +45,15 @@ New keys do not change it. Keys are never renamed or removed.
 """
 Ended: TypeAlias = Literal["finished", "stopped", "interrupted"]
 """How a run ended: complete, early because of ``--fail-fast``, or by a signal."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """A file whose classes are unlike those of earlier ones."""
+
+    name: str
+    sentence: str
+    """What is unusual, with the class and both shares."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,9 +165,9 @@ def as_dict(summary: BatchSummary) -> dict[str, Any]:
         "shots": summary.n_shots,
         "shots_per_s": summary.shots_per_s,
         "labels": dict(summary.labels),
-        "done": [done_dict(file) for file in summary.done],
-        "failed": [failed_dict(file) for file in summary.failed],
-        "failed_before": [failed_dict(file) for file in summary.failed_before],
+        "done": [file.as_dict() for file in summary.done],
+        "failed": [file.as_dict() for file in summary.failed],
+        "failed_before": [file.as_dict() for file in summary.failed_before],
         "doubts": [asdict(doubt) for doubt in summary.doubts],
         "doubt_counts": dict(Counter(doubt.check for doubt in summary.doubts).most_common()),
         "alarms": [asdict(alarm) for alarm in summary.alarms],
@@ -176,30 +175,6 @@ def as_dict(summary: BatchSummary) -> dict[str, Any]:
         "notes": list(summary.notes),
         "evaluation": None if summary.evaluation is None else summary.evaluation.as_dict(),
     }
-
-
-def done_dict(file: Done) -> dict[str, Any]:
-    """Return a finished file as plain values."""
-    return {
-        "name": file.name,
-        "input": asdict(file.input),
-        "output": file.output_name,
-        "output_size": file.output_size,
-        "output_sha256": file.output_sha256,
-        "seconds": round(file.seconds, 3),
-        "cpu_seconds": round(file.cpu_seconds, 3),
-        "peak_mib": None if file.peak_mib is None else round(file.peak_mib, 1),
-        "lines": file.n_lines,
-        "shots": file.n_shots,
-        "records": file.n_records,
-        "labels": dict(file.labels),
-        "notices": list(file.notices),
-    }
-
-
-def failed_dict(file: Failed) -> dict[str, Any]:
-    """Return a failed file as plain values."""
-    return {"name": file.name, "seconds": round(file.seconds, 3), **asdict(file.problem)}
 
 
 def write_summary(summary: BatchSummary) -> Path:

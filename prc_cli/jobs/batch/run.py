@@ -15,11 +15,14 @@ from prc_cli.core.errors import BusyError, ExitCode, PrcError
 from prc_cli.core.files import make_folder, output_errors
 from prc_cli.core.threads import close_items
 from prc_cli.jobs.batch.discovery import check, discover
-from prc_cli.jobs.batch.journal import Journal, read_entries
+from prc_cli.jobs.batch.engine import Engine, EngineSettings, Event
+from prc_cli.jobs.batch.journal import Entry, Journal, read_entries
 from prc_cli.jobs.batch.local import LocalEngine, share_cores
 from prc_cli.jobs.batch.lock import Lock
+from prc_cli.jobs.batch.outcomes import Done, Doubted, Failed, Outcome, Problem
 from prc_cli.jobs.batch.plan import BatchConfig, Estimate, Plan, Planned, estimate, make_plan
 from prc_cli.jobs.batch.report import (
+    Alarm,
     BatchEvaluation,
     BatchSummary,
     Ended,
@@ -29,23 +32,7 @@ from prc_cli.jobs.batch.report import (
     evaluate_tree,
     write_summary,
 )
-from prc_cli.jobs.batch.types import (
-    OWN_FOLDER,
-    Alarm,
-    BatchSettings,
-    Done,
-    Doubted,
-    Engine,
-    EngineSettings,
-    Entry,
-    Event,
-    Failed,
-    Outcome,
-    Problem,
-    Task,
-    doubts_of,
-)
-from prc_cli.jobs.batch.worker import may_pass
+from prc_cli.jobs.batch.types import OWN_FOLDER, BatchSettings, Task
 from prc_cli.jobs.drive import output_name
 
 PAUSE_S = 1.0
@@ -258,7 +245,7 @@ class _BatchRun:
         # a file whose worker was killed gets a second attempt also without --retry: the worker may
         # have renamed its output just before it died, and the next one recognises it
         allowed = max(self._settings.retry, 1 if failed.problem.kind == "killed" else 0)
-        return attempt < allowed and may_pass(failed.problem)
+        return attempt < allowed and failed.problem.may_pass
 
     def _pass(self, items: Sequence[Planned], settings: EngineSettings, attempt: int) -> None:
         """Run files once; all workers have ended when this returns or raises."""
@@ -317,7 +304,7 @@ class _BatchRun:
             self._doubt(outcome)
 
     def _doubt(self, file: Done | Entry) -> None:
-        for doubt in doubts_of(file):
+        for doubt in file.doubts:
             self._listener(doubt)
 
     def _compare_classes(self, plan: Plan, known: Mapping[str, Entry]) -> None:
@@ -385,7 +372,7 @@ class _BatchRun:
             n_waiting=plan.n_beyond_limit + len(plan.todo) - n_ended,
             reasons=tuple(Counter(item.reason for item in plan.todo).most_common()),
             alarms=tuple(self._alarms),
-            doubts=tuple(doubt for entry in entries for doubt in doubts_of(entry)),
+            doubts=tuple(doubt for entry in entries for doubt in entry.doubts),
             left_out=plan.left_out,
             notes=tuple(self._notes),
             ended=ended,

@@ -7,7 +7,6 @@ current file and ends.
 
 from __future__ import annotations
 
-import builtins
 import contextlib
 import os
 import pickle
@@ -24,17 +23,21 @@ from prc_cli.core.classes import Label
 from prc_cli.core.errors import ExitCode, OutputExistsError, PrcError
 from prc_cli.core.process import claim_process, hold_limits, raise_or_hold, return_memory
 from prc_cli.core.profile import peak_memory
-from prc_cli.jobs.batch.plan import is_whole, outcome_of_record, remove_unfinished
-from prc_cli.jobs.batch.types import (
-    Compared,
-    Comparison,
+from prc_cli.jobs.batch.engine import Compared, Comparison
+from prc_cli.jobs.batch.outcomes import (
+    CHANGED,
+    MEMORY,
+    VANISHED,
     Done,
     Failed,
     InputPrint,
     Outcome,
     Problem,
-    Task,
+    is_whole,
+    recorded_outcome,
+    remove_unplaced,
 )
+from prc_cli.jobs.batch.types import Task
 from prc_cli.jobs.classify import classify, load_classifier
 from prc_cli.jobs.drive import classify_drive
 from prc_cli.jobs.run import Progress, RunSummary
@@ -51,10 +54,6 @@ STOP_S = 5.0
 """How long a worker that must end may take to remove its temporary files [s]."""
 AGAIN_S = 0.05
 """An interrupt that Python dropped is raised again so much later [s]."""
-MEMORY = "memory"
-CHANGED = "changed"
-VANISHED = "vanished"
-"""Kinds of problems that the content of the file does not cause."""
 
 
 # -- one file --------------------------------------------------------------------------------------
@@ -73,7 +72,7 @@ def run_item(
     failed: list[Failed] = []
     try:
         for file in task.files:
-            before[file.name] = _stat_input(file.source)
+            before[file.name] = InputPrint.of(file.source)
         load_classifier(task.config)
         begun = time.perf_counter()
         cpu = time.process_time()
@@ -114,7 +113,7 @@ def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) 
     begun = time.perf_counter()
     before: InputPrint | None = None
     try:
-        before = _stat_input(task.source)
+        before = InputPrint.of(task.source)
         task.output.parent.mkdir(parents=True, exist_ok=True)
         load_classifier(task.config)
         begun = time.perf_counter()
@@ -127,7 +126,7 @@ def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) 
             # writes here
             with contextlib.suppress(OSError):
                 written = task.output.lstat()
-                outcome = outcome_of_record(task, before, written)
+                outcome = recorded_outcome(task, before, written)
                 if outcome is not None and is_whole(task.output, written, outcome):
                     return outcome
         return Failed(
@@ -148,13 +147,8 @@ def _classify(task: Task, threads: int, progress: Progress | None) -> RunSummary
                 threads=threads,
             )
         except OutputExistsError:
-            if not remove_unfinished(task):
+            if not remove_unplaced(task):
                 raise
-
-
-def _stat_input(path: Path) -> InputPrint:
-    status = path.stat()
-    return InputPrint(status.st_size, status.st_mtime_ns, None)
 
 
 def _done(
@@ -216,7 +210,7 @@ def _problem_of(error: Exception, task: Task, before: InputPrint | None) -> Prob
     if before is None:
         return problem
     try:
-        after = _stat_input(task.source)
+        after = InputPrint.of(task.source)
     except OSError as vanished:
         why = f"the input went away while it was read ({vanished.strerror})"
         return Problem(VANISHED, problem.where, why, problem.hint)
@@ -224,29 +218,6 @@ def _problem_of(error: Exception, task: Task, before: InputPrint | None) -> Prob
         hint = "run again when the copy is complete"
         return Problem(CHANGED, str(task.source), "changed while it was read", hint)
     return problem
-
-
-def may_pass(problem: Problem) -> bool:
-    """Check whether another attempt may help: not for damaged files and wrong configurations.
-
-    >>> may_pass(Problem("killed", "a.laz", ""))
-    True
-    >>> may_pass(Problem("InputError", "a.laz", "cut short"))
-    False
-    """
-    if problem.kind in (
-        "killed",
-        "timeout",
-        "interrupted",
-        "OutputError",
-        MEMORY,
-        CHANGED,
-        VANISHED,
-    ):
-        return True
-    return problem.kind.isidentifier() and issubclass(
-        getattr(builtins, problem.kind, object), OSError
-    )
 
 
 def _compare(pair: Comparison) -> Compared:

@@ -15,7 +15,8 @@ from pathlib import Path
 
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.jobs.batch.journal import Journal, read_entries
-from prc_cli.jobs.batch.types import Done, InputPrint, Task
+from prc_cli.jobs.batch.outcomes import Done, InputPrint
+from prc_cli.jobs.batch.types import Task
 
 
 def main() -> None:

@@ -25,16 +25,9 @@ from prc_cli.core.files import temporary_name
 from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.jobs.batch import dask_engine
 from prc_cli.jobs.batch.dask_engine import DaskEngine
-from prc_cli.jobs.batch.types import (
-    Done,
-    EngineSettings,
-    Event,
-    Failed,
-    Problem,
-    Progress,
-    Started,
-    Task,
-)
+from prc_cli.jobs.batch.engine import EngineSettings, Event, Progress, Started
+from prc_cli.jobs.batch.outcomes import Done, Failed, Problem
+from prc_cli.jobs.batch.types import Task
 from prc_cli.jobs.classify import classify, load_classifier
 from tests import patience
 from tests.patience import HANGS_S, wait_until

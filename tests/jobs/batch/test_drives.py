@@ -16,22 +16,12 @@ from prc_cli.config import load_config
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.batch import run as batch_run
 from prc_cli.jobs.batch.discovery import Drives, discover
+from prc_cli.jobs.batch.engine import EngineSettings, Event, Started
 from prc_cli.jobs.batch.journal import read_entries
+from prc_cli.jobs.batch.outcomes import Done, Failed, Problem
 from prc_cli.jobs.batch.plan import Plan
 from prc_cli.jobs.batch.run import plan_batch, run_batch
-from prc_cli.jobs.batch.types import (
-    OWN_FOLDER,
-    BatchSettings,
-    ConfigLayers,
-    Done,
-    EngineSettings,
-    Event,
-    Failed,
-    Problem,
-    Shard,
-    Started,
-    Task,
-)
+from prc_cli.jobs.batch.types import OWN_FOLDER, BatchSettings, ConfigLayers, Shard, Task
 from prc_cli.jobs.batch.worker import run_item
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.drive import classify_drive

@@ -18,8 +18,9 @@ from prc_cli import __version__
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import BusyError, OutputError, PrcError
 from prc_cli.jobs.batch import journal as subject
-from prc_cli.jobs.batch.journal import Journal, read_entries, read_runs
-from prc_cli.jobs.batch.types import Done, Entry, Failed, InputPrint, Problem, Shard, Task
+from prc_cli.jobs.batch.journal import Entry, Journal, read_entries, read_runs
+from prc_cli.jobs.batch.outcomes import Done, Failed, InputPrint, Problem
+from prc_cli.jobs.batch.types import Shard, Task
 from tests import patience
 
 ODD_NAMES = [

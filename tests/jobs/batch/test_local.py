@@ -16,8 +16,10 @@ import pytest
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import ExitCode, PrcError
 from prc_cli.jobs.batch import local
+from prc_cli.jobs.batch.engine import EngineSettings, Event, Progress, Started
 from prc_cli.jobs.batch.local import LocalEngine
-from prc_cli.jobs.batch.types import Done, EngineSettings, Event, Failed, Progress, Started, Task
+from prc_cli.jobs.batch.outcomes import Done, Failed
+from prc_cli.jobs.batch.types import Task
 from tests import patience
 from tests.patience import wait_until
 from tests.street import street, write_endless, write_npz

@@ -21,8 +21,10 @@ from prc_cli.core.errors import BusyError, ConfigError, InputError, PrcError
 from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
 from prc_cli.formats.writing.record import record_path
 from prc_cli.jobs.batch import run as batch_run
+from prc_cli.jobs.batch.engine import EngineSettings, Event, Started
 from prc_cli.jobs.batch.journal import read_entries, read_runs
 from prc_cli.jobs.batch.lock import Lock
+from prc_cli.jobs.batch.outcomes import Done, Doubted, Failed, InputPrint, Outcome, Problem
 from prc_cli.jobs.batch.outputs import verify_outputs
 from prc_cli.jobs.batch.report import BatchSummary, as_dict
 from prc_cli.jobs.batch.run import Again, RunEvent, run_batch
@@ -30,18 +32,8 @@ from prc_cli.jobs.batch.types import (
     OWN_FOLDER,
     BatchSettings,
     ConfigLayers,
-    Done,
-    Doubted,
-    EngineSettings,
-    Event,
-    Failed,
-    InputPrint,
-    Outcome,
-    Problem,
     ReferenceSettings,
-    Started,
     Task,
-    doubts_of,
 )
 from prc_cli.jobs.batch.worker import run_task
 from tests import patience
@@ -302,7 +294,7 @@ def test_doubts_reach_journal_and_summary_and_are_told_once(settings: BatchSetti
     known = {entry.name: entry.outcome for entry in read_entries(settings.out / OWN_FOLDER)}
     outcome = known["b.npz"]
     assert isinstance(outcome, Done)
-    assert doubts_of(outcome) == (expected,)
+    assert outcome.doubts == (expected,)
 
 
 def test_the_exit_code_is_that_of_the_archive(settings: BatchSettings) -> None:

@@ -21,24 +21,17 @@ from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError, ExitCode
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.scores import GateResult
+from prc_cli.jobs.batch.outcomes import Doubted, Failed, Problem
 from prc_cli.jobs.batch.report import (
     MIN_EARLIER,
+    Alarm,
     BatchEvaluation,
     BatchSummary,
     drift,
     write_summary,
 )
 from prc_cli.jobs.batch.run import run_batch
-from prc_cli.jobs.batch.types import (
-    Alarm,
-    BatchSettings,
-    ConfigLayers,
-    Doubted,
-    Failed,
-    Problem,
-    ReferenceSettings,
-    Shard,
-)
+from prc_cli.jobs.batch.types import BatchSettings, ConfigLayers, ReferenceSettings, Shard
 from prc_cli.jobs.classify import classify_ranges
 from prc_cli.jobs.thin import _check_lines
 from tests.street import street, write_npz
@@ -200,38 +193,22 @@ def subclasses(kind: type[BaseException]) -> set[str]:
 
 
 def kinds_in_code() -> set[str]:
-    """First arguments of ``Problem(...)``: literals, and names of constants of the module."""
+    """First arguments of ``Problem(...)``: literals, and names of constants of the package."""
+    room = Path(prc_cli.jobs.batch.__path__[0])
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in room.glob("*.py")]
+    nodes = [node for tree in trees for node in ast.walk(tree)]
+    constants: dict[str, str] = {}
+    for node in nodes:
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant):
+            constants[ast.unparse(node.targets[0])] = str(node.value.value)
     kinds = set()
-    for path in Path(prc_cli.jobs.batch.__path__[0]).glob("*.py"):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        constants: dict[str, str] = {}
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Assign):
-                target = node.targets[0]
-                value = node.value
-                pairs = (
-                    zip(target.elts, value.elts, strict=False)
-                    if (isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple))
-                    else [(target, value)]
-                )
-                for name, item in pairs:
-                    if (
-                        isinstance(name, ast.Name)
-                        and isinstance(item, ast.Constant)
-                        and isinstance(item.value, str)
-                    ):
-                        constants[name.id] = item.value
-        for node in ast.walk(tree):
-            if (
-                isinstance(node, ast.Call)
-                and ast.unparse(node.func) == Problem.__name__
-                and node.args
-            ):
-                kind = node.args[0]
-                if isinstance(kind, ast.Constant):
-                    kinds.add(str(kind.value))
-                elif isinstance(kind, ast.Name) and kind.id in constants:
-                    kinds.add(constants[kind.id])
+    for node in nodes:
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "Problem" and node.args:
+            kind = node.args[0]
+            if isinstance(kind, ast.Constant):
+                kinds.add(str(kind.value))
+            elif isinstance(kind, ast.Name) and kind.id in constants:
+                kinds.add(constants[kind.id])
     return kinds
 
 
