@@ -26,7 +26,7 @@ from prc_cli.cli.options import (
 from prc_cli.cli.output import print_json
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, WRITTEN_TEXT
 from prc_cli.core.errors import ConfigError, ExitCode, PrcError
-from prc_cli.core.files import atomic_output, read_own, remove_stale
+from prc_cli.core.own_file import read_own, write_own
 from prc_cli.core.paths import begin_command
 from prc_cli.core.process import raise_or_hold
 
@@ -592,10 +592,9 @@ def _write_command(settings: BatchSettings, typed: Sequence[str]) -> None:
 
     table = {"schema": _COMMAND_SCHEMA, "folder": str(Path.cwd()), "arguments": typed}
     path = settings.out / OWN_FOLDER / own_name("command", settings.shard, ".json")
-    remove_stale(path)  # of a run that was killed just here
-    with contextlib.suppress(PrcError), atomic_output(path, overwrite=True) as file:
-        file.touch(0o600)  # prc batch retry obeys nobody else
-        file.write_text(json.dumps(table, indent=1) + "\n", encoding="ascii", newline="\n")
+    # prc batch retry obeys nobody else
+    with contextlib.suppress(PrcError):
+        write_own(path, json.dumps(table, indent=1) + "\n", private=True)
 
 
 def _read_command(path: Path) -> tuple[Path, list[str], dict[str, Any]]:

@@ -24,7 +24,6 @@ import stat
 import time
 from collections.abc import Collection, Iterator, Sequence
 from contextvars import ContextVar
-from functools import lru_cache
 from pathlib import Path
 from typing import IO, TypeAlias
 
@@ -83,72 +82,10 @@ def read_small(path: Path, limit: int) -> bytes:
     return content
 
 
-def read_own(path: Path, limit: int) -> bytes:
-    """Return the content of a small file that only this user may write; no links."""
-    if not hasattr(os, "getuid"):
-        return read_small(path, limit)
-    flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
-    folder = os.open(path.parent, flags | os.O_DIRECTORY)
-    try:
-        if (owner := os.fstat(folder).st_uid) not in (os.getuid(), 0):
-            raise PermissionError(errno.EPERM, f"its folder belongs to user {owner}", str(path))
-        descriptor = os.open(path.name, flags, dir_fd=folder)
-    finally:
-        os.close(folder)
-    with open(descriptor, "rb") as handle:  # noqa: PTH123 - a descriptor
-        status = os.fstat(descriptor)
-        if why := _who_may_change(status):
-            raise PermissionError(errno.EPERM, why, str(path))
-        content = handle.read(limit + 1) if stat.S_ISREG(status.st_mode) else b""
-    if not content or len(content) > limit:
-        raise OSError(errno.EINVAL, f"is no file of at most {limit} bytes", str(path))
-    return content
-
-
-def refuse_links(*paths: Path) -> None:
-    """Refuse names of our own folder and files that are symbolic links: they may lead anywhere."""
-    for path in paths:
-        if path.is_symlink():
-            problem = "is a symbolic link, expected a folder or file of prc's own"
-            raise OutputError(str(path), problem, "look where it leads, then remove it")
-
-
 def file_state(path: Path | int) -> tuple[int, int, int, int]:
     """Return size, mtime [ns], ctime [ns] and inode; one of them changes when a file does."""
     status = os.fstat(path) if isinstance(path, int) else path.stat()
     return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
-
-
-def who_may_change(path: Path, *, may_add: bool = False) -> str:
-    """Return why users other than this one and root may change a path; empty if none may."""
-    return _who_may_change(path.lstat(), may_add=may_add) if hasattr(os, "getuid") else ""
-
-
-def _who_may_change(status: os.stat_result, *, may_add: bool = False) -> str:
-    if status.st_uid not in (os.getuid(), 0):
-        return f"it belongs to user {status.st_uid}"
-    mode = stat.S_IMODE(status.st_mode)
-    # the mode of a link means nothing
-    if stat.S_ISLNK(status.st_mode) or (may_add and mode & stat.S_ISVTX):
-        return ""
-    is_open = mode & 0o002 or (mode & 0o020 and not _is_own_group(status.st_gid))
-    return f"its mode is {mode:o}" if is_open else ""
-
-
-@lru_cache(maxsize=32)
-def _is_own_group(group: int) -> bool:
-    """Whether a group has no other member than this user, or is that of the administrator."""
-    import grp
-    import pwd
-
-    if group == 0:
-        return True
-    try:
-        members = grp.getgrgid(group)
-        name = pwd.getpwuid(os.getuid()).pw_name
-    except KeyError:  # an account without a name, as in containers
-        return False
-    return members.gr_name == name and not set(members.gr_mem) - {name}
 
 
 def suffix_of(path: Path) -> str:

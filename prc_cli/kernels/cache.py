@@ -23,7 +23,8 @@ from numba.core.errors import NumbaError
 
 import prc_cli.core
 from prc_cli.core.errors import PrcError
-from prc_cli.core.files import cache_folder, who_may_change
+from prc_cli.core.files import cache_folder
+from prc_cli.core.own_file import who_may_change
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 

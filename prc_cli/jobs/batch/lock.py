@@ -27,14 +27,8 @@ from types import TracebackType
 from filelock import FileLock, Timeout
 
 from prc_cli.core.errors import BusyError, OutputError
-from prc_cli.core.files import (
-    atomic_output,
-    make_folder,
-    output_errors,
-    read_small,
-    refuse_links,
-    remove_stale,
-)
+from prc_cli.core.files import make_folder, output_errors, read_small
+from prc_cli.core.own_file import refuse_links, write_own
 from prc_cli.core.version import __version__
 from prc_cli.jobs.batch.types import Shard, own_name
 
@@ -138,7 +132,6 @@ class Lock:
             raise BusyError(str(self.path), f"the lock was lost: {cause}", hint)
 
     def _acquire(self) -> None:
-        remove_stale(self.path)
         self._refuse(LOOK_S)
         try:
             self._lock.acquire(LOOK_S)
@@ -154,10 +147,7 @@ class Lock:
             hint = "choose an output folder on another disk; Lustre: mount it with -o flock"
             raise OutputError(str(self._folder), problem, hint) from error
         self.inherited_from = _read(self.path)
-        with atomic_output(self.path, overwrite=True) as temporary:
-            temporary.write_text(
-                json.dumps(asdict(self.owner), sort_keys=True, indent=1) + "\n", encoding="ascii"
-            )
+        write_own(self.path, json.dumps(asdict(self.owner), sort_keys=True, indent=1) + "\n")
         # a shard waits less, so that it gives way to a run of the whole archive
         self._refuse(LOOK_S if self._shard is None else STATUS_S)
 

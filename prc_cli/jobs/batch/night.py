@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from prc_cli.core.errors import PrcError
-from prc_cli.core.files import atomic_output, read_own, remove_stale
+from prc_cli.core.own_file import read_own, write_own
 from prc_cli.core.pages import render_page
 from prc_cli.evaluation.html import Curve, class_colour, line_chart
 from prc_cli.evaluation.mapping import load_mapping
@@ -46,7 +46,7 @@ def write_night(summary: BatchSummary, to: str) -> Path | None:
         return None
     history = summary.out / OWN_FOLDER / own_name("nights", summary.shard, ".json")
     nights = [*_earlier(history), _night(summary, evaluation)][-MOST_NIGHTS:]
-    _write(history, json.dumps(nights, indent=1, allow_nan=False) + "\n")
+    write_own(history, json.dumps(nights, indent=1, allow_nan=False) + "\n")
     files.sort(key=lambda file: file[1].accuracy)
     pooled = scores(evaluation.matrix)
     names = [row.name for row in pooled.classes if row.name in pooled.scored and row.n_reference]
@@ -67,15 +67,8 @@ def write_night(summary: BatchSummary, to: str) -> Path | None:
         "prc_cli.jobs.batch", "night.html", values, {"percent": percent, "colour": class_colour}
     )
     path = summary.out / own_name("report", summary.shard, ".html")
-    _write(path, page)
+    write_own(path, page)
     return path
-
-
-def _write(path: Path, text: str) -> None:
-    remove_stale(path)  # of a run that was killed here
-    with atomic_output(path, overwrite=True) as temporary:
-        # names may be any bytes
-        temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
 def _earlier(path: Path) -> list[dict[str, Any]]:

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.files import is_left_behind, read_small, refuse_links
+from prc_cli.core.files import is_left_behind, read_small
+from prc_cli.core.own_file import refuse_links
 from prc_cli.formats.writing.record import LARGEST_RECORD, RECORD_SUFFIX, fingerprint
 from prc_cli.jobs.batch.journal import Journal, journal_paths, read_entries
 from prc_cli.jobs.batch.lock import Lock

@@ -15,7 +15,8 @@ import numpy as np
 
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, ExitCode, InputError
-from prc_cli.core.files import atomic_output, remove_stale, suffix_of
+from prc_cli.core.files import suffix_of
+from prc_cli.core.own_file import write_own
 from prc_cli.core.types import F64
 from prc_cli.core.version import __version__
 from prc_cli.evaluation.confusion import ConfusionMatrix
@@ -180,10 +181,7 @@ def as_dict(summary: BatchSummary) -> dict[str, Any]:
 def write_summary(summary: BatchSummary) -> Path:
     """Write the summary into the output folder; it is complete or absent."""
     path = summary.out / own_name("summary", summary.shard, ".json")
-    remove_stale(path)  # of a run that was killed here
-    with atomic_output(path, overwrite=True) as temporary:
-        text = json.dumps(as_dict(summary), indent=1, allow_nan=False) + "\n"
-        temporary.write_text(text, encoding="ascii", newline="\n")
+    write_own(path, json.dumps(as_dict(summary), indent=1, allow_nan=False) + "\n")
     return path
 
 
