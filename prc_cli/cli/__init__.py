@@ -7,19 +7,19 @@ import errno
 import gc
 import importlib
 import io
-import math
 import os
 import signal
 import sys
 import threading
-import time
 import traceback
 import warnings
+from pathlib import Path
 from typing import Any
 
 import click
 
-from prc_cli.cli.guard import REPEATED_S, begin
+from prc_cli.core import process
+from prc_cli.core.child import Ended, fork, how_ended, one_line
 from prc_cli.core.errors import AFTER_SIGNAL, ExitCode, PrcError, message, printable_lines
 from prc_cli.core.files import (
     drop_proofs,
@@ -29,8 +29,9 @@ from prc_cli.core.files import (
     remove_own,
     take_back,
 )
+from prc_cli.core.interrupts import Interrupts
 from prc_cli.core.paths import begin_command
-from prc_cli.core.process import claim_process, no_collecting, raise_or_hold
+from prc_cli.core.process import claim_process, no_collecting
 from prc_cli.core.version import __version__
 
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -80,10 +81,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "completion": ("prc_cli.cli.completion:completion", "Print the shell completion script."),
 }
 """Commands by name: their module (loaded when called) and the line in ``prc --help``."""
-
-
-AGAIN_S = 0.05
-"""Delay after which a dropped signal is raised again [s]."""
 
 
 class LazyGroup(click.Group):
@@ -146,7 +143,7 @@ def main(args: list[str] | None = None) -> None:
     """Run the command line; errors of the package become a message and an exit code."""
     arguments = sys.argv[1:] if args is None else args
     if args is None:
-        is_guarded = begin(arguments, frozenset(COMMANDS))
+        is_guarded = _go_on_in_child(arguments)
         claim_process()
         keep_proofs()
     # the parent process may have closed stdout and stderr, as some daemons do
@@ -267,42 +264,98 @@ def _leave_on_signals() -> None:
     """Make SIGTERM (``kill``, ``timeout``) end a run like Ctrl-C: temporary files are removed."""
     if threading.current_thread() is not threading.main_thread():
         return
-    signal.signal(
-        signal.SIGTERM, lambda number, frame: _hear(number, SystemExit(AFTER_SIGNAL + number))
-    )
+    interrupts = Interrupts()
+    interrupts.on(signal.SIGTERM, lambda: SystemExit(ExitCode.TERMINATED))
     # the parent process may have set Ctrl-C to be ignored, as nohup does
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, lambda number, frame: _hear(number, KeyboardInterrupt()))
-    sys.unraisablehook = _deliver_again
+        interrupts.on(signal.SIGINT, KeyboardInterrupt)
 
 
-_heard: dict[int, float] = {}
+# -- the process that watches a command ------------------------------------------------------------
+
+UNGUARDED = frozenset({"completion", "config", "demo", "doctor", "simulate"})
+"""Commands that decode no foreign files."""
+SWITCH = "PRC_GUARD"
+"""Environment variable; 0 = no child process, for debuggers."""
+PATIENCE_S = 5.0
+BATCH_PATIENCE_S = 30.0
+"""Time from a signal until the child is killed; ``prc batch`` must end its workers first [s]."""
+MOST_NAMED = 2
+"""Largest number of files in the message."""
+LAST_PRINTED = 110
+"""Length of the last output of a crashed library in the message [bytes]."""
+_CRASHES = frozenset(
+    {
+        "SIGSEGV",
+        "SIGABRT",
+        "SIGBUS",
+        "SIGFPE",
+        "SIGILL",
+        "SIGKILL",
+        "SIGSYS",
+        "SIGTRAP",
+        "SIGXCPU",
+        "SIGXFSZ",
+    }
+)
 
 
-def _hear(number: int, error: BaseException) -> None:
-    """Raise for a signal, once for two of a kind at a time.
+def _go_on_in_child(arguments: list[str]) -> bool:
+    """Fork if the command reads foreign files; return whether this is the child.
 
-    Systemd sends one, and the guard passes its own on.
+    The parent waits, and ends with the exit code of the child, or with FAILED after a crash.
     """
-    now = time.monotonic()
-    before = _heard.get(number, -math.inf)
-    if now - before > REPEATED_S:
-        _heard[number] = now
-        raise_or_hold(error)
+    command = next((word for word in arguments if not word.startswith("-")), "")
+    is_needed = command in COMMANDS and command not in UNGUARDED
+    is_possible = sys.platform == "linux" and threading.active_count() == 1
+    asks_for_help = "-h" in arguments or "--help" in arguments
+    if not is_needed or not is_possible or asks_for_help or os.environ.get(SWITCH) == "0":
+        return False
+    try:
+        ended = fork(BATCH_PATIENCE_S if command == "batch" else PATIENCE_S)
+    except OSError:  # an old kernel, or no more processes
+        return False
+    if ended is not None:
+        os._exit(_code_of_child(ended, arguments))
+    return True
 
 
-def _deliver_again(dropped: sys.UnraisableHookArgs) -> None:
-    """Raise a signal again if Python dropped it because an object was being deleted."""
-    if not isinstance(dropped.exc_value, (KeyboardInterrupt, SystemExit)):
-        sys.__unraisablehook__(dropped)
-        return
-    number = signal.SIGINT if isinstance(dropped.exc_value, KeyboardInterrupt) else signal.SIGTERM
-    _heard.pop(number, None)
-    main = threading.main_thread().ident
-    # by a timer: an exception raised in this hook would be dropped as well
-    if main is not None and hasattr(signal, "pthread_kill"):
-        timer = threading.Timer(AGAIN_S, signal.pthread_kill, (main, number))
-    else:
-        timer = threading.Timer(AGAIN_S, signal.raise_signal, (number,))
-    timer.daemon = True
-    timer.start()
+def _code_of_child(ended: Ended, arguments: list[str]) -> int:
+    """Return the exit code for the end of the child; after a crash print an error."""
+    if "--debug" in arguments and ended.printed:
+        _print_error(ended.printed.decode("utf-8", "replace").rstrip("\n"))
+    if ended.code >= 0:
+        return ended.code
+    number = -ended.code
+    if ended.was_killed and number == signal.SIGKILL:
+        _print_error(message("error", f"interrupted; {ended.left}"))
+        return AFTER_SIGNAL + ended.passed[0]
+    if number in ended.passed:
+        # it received the signal when it had already ended its work for the same one
+        return AFTER_SIGNAL + number
+    if number not in {signal.Signals[name] for name in _CRASHES}:
+        # somebody ended it so: end in the same way
+        signal.signal(number, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {number})
+        os.kill(os.getpid(), number)
+        return AFTER_SIGNAL + number
+    problem = f"the process that read it {how_ended(ended.code)}"
+    last = one_line(ended.printed[-LAST_PRINTED:])
+    printed = f"it printed: {last}; " if last else ""
+    hint = "the file is damaged or malicious: copy it again, or check where it comes from"
+    if number == signal.SIGKILL:
+        hint = "probably too little memory: use fewer --threads or --jobs"
+    elif number == signal.SIGXCPU:
+        problem = f"decoding it made no progress in {process.STEP_CPU_S} s of processor time"
+        printed = ""
+    files = [word for word in arguments[1:] if Path(word).is_file()]
+    where = ", ".join(files[:MOST_NAMED]) or arguments[0]
+    if len(files) > MOST_NAMED:
+        where += f" and {len(files) - MOST_NAMED} more"
+    _print_error(message(f"error: {where}", f"{problem}; {printed}{ended.left}", hint))
+    return ExitCode.FAILED
+
+
+def _print_error(text: str) -> None:
+    with contextlib.suppress(OSError):
+        os.write(2, f"{text}\n".encode("utf-8", "backslashreplace"))

@@ -160,7 +160,7 @@ def prepare_outputs(
     _RUN.set(key)
     _ORDER.set({path.absolute(): number for number, path in enumerate(members)})
     for path in members:
-        _note(path, mark=b"?" if path in beside else b"")
+        _note(_BESIDE if path in beside else _OUTPUT, path)
     remove_unfinished(*members, key=key, beside=beside)
     for folder in folders:
         if os.path.lexists(folder):
@@ -203,7 +203,7 @@ def make_folder(folder: Path) -> None:
 
 def temporary_name(path: Path) -> Path:
     """Return a new hidden name beside ``path`` with the machine and the process id."""
-    _note(path)
+    _note(_OUTPUT, path)
     number = f"{_RUN.get()}{secrets.token_hex(4)}"
     name = path.with_name(f".{_stem(path.name)}.{_machine()}-{os.getpid()}-{number}.part")
     if _State.keeps_proofs:
@@ -217,28 +217,53 @@ def temporary_folder(prefix: str) -> Iterator[Path]:
     import tempfile  # here, as below: it takes 20 ms to load
 
     with tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True) as name:
-        _note(Path(name), is_folder=True)
+        _note(_FOLDER, Path(name))
         yield Path(name)
 
 
+_OUTPUT = b"o"
+_BESIDE = b"b"
+"""An output that may have been there before."""
+_PLACED = b"p"
+"""An output that replaced another."""
+_PROOF = b"t"
+"""The temporary name that shows who made an output."""
+_FOLDER = b"f"
+"""A temporary folder."""
 _notes: list[int] = []
 
 
-def note_temporaries(descriptor: int) -> None:
-    """Note outputs in an open file, each ended by a null, for the clean-up after a crash.
-
-    A name ends in ``/`` if it is a temporary folder. It begins with ``+`` if it is an output that
-    replaced another, with ``?`` if it may have been there before, and with ``!`` if it is the
-    temporary name that shows who made it.
-    """
+def note_outputs(descriptor: int) -> None:
+    """Note outputs in an open file, each with its kind, for the clean-up after a crash."""
     _notes[:] = [descriptor]
 
 
-def _note(path: Path, *, is_folder: bool = False, mark: bytes = b"") -> None:
-    note = mark + os.fsencode(path.absolute()) + (b"/\0" if is_folder else b"\0")
+def _note(kind: bytes, path: Path) -> None:
     for descriptor in _notes:
         with contextlib.suppress(OSError):
-            os.write(descriptor, note)
+            os.write(descriptor, kind + os.fsencode(path.absolute()) + b"\0")
+
+
+def _noted(notes: bytes, kind: bytes) -> list[Path]:
+    names = dict.fromkeys(note[1:] for note in notes.split(b"\0") if note[:1] == kind)
+    return [Path(os.fsdecode(name)) for name in names]
+
+
+def clean_up(notes: bytes) -> str:
+    """Remove what a crashed process left unfinished; return a sentence about its outputs."""
+    for folder in _noted(notes, _FOLDER):
+        shutil.rmtree(folder, ignore_errors=True)
+    beside = _noted(notes, _BESIDE)
+    outputs = [path for path in _noted(notes, _OUTPUT) if path not in beside]
+    with contextlib.suppress(OSError):
+        remove_unfinished(*outputs, *beside, beside=beside)
+    return left_words(_noted(notes, _PLACED))
+
+
+def drop_noted_proofs(notes: bytes) -> None:
+    """Remove the temporary names that a process kept, which has ended (:func:`keep_proofs`)."""
+    for proof in _noted(notes, _PROOF):
+        _remove(proof)
 
 
 def _stem(name: str) -> str:
@@ -454,14 +479,14 @@ def _give_names(files: Sequence[_Finished]) -> None:
         _remove(temporary)
     if _State.keeps_proofs and last.is_file():
         _PROOFS.append(last)
-        _note(last, mark=b"!")
+        _note(_PROOF, last)
     else:
         _remove(last)
     _NEW.extend(made)
     for _, path, overwrite in files:
         if overwrite:
             _REPLACED.append(path)
-            _note(path, mark=b"+")
+            _note(_PLACED, path)
 
 
 class _State:

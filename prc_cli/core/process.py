@@ -1,8 +1,8 @@
 """The running process: its owner, the limits of a decoding step, and its memory.
 
-Limits are switched on in processes that a crash may end: the child of :mod:`prc_cli.cli.guard` and
-the workers of ``prc batch``. A step that needs more processor time ends the process (SIGXCPU), more
-memory is a ``MemoryError``.
+Limits are switched on in processes that a crash may end: the child of a command and the workers of
+``prc batch`` (:mod:`prc_cli.core.child`). A step that needs more processor time ends the process
+(SIGXCPU), more memory is a ``MemoryError``.
 
 Python may run a signal handler while the arguments of a compiled loop are unpacked. An exception
 there leaves the loop's caller with a broken result. So the signal handlers of the command line call

@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli.cli import COMMANDS, guard
+from prc_cli import cli
+from prc_cli.cli import COMMANDS
+from prc_cli.core.interrupts import REPEATED_S
 from tests import patience
 from tests.fuzz.crafted import huge_page, overflowing
 from tests.fuzz.seeds import seed
@@ -52,7 +54,7 @@ cli.main()
 def prc(
     *words: str | Path, guarded: bool = True, **options: object
 ) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), guard.SWITCH: "1" if guarded else "0"}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), cli.SWITCH: "1" if guarded else "0"}
     command = [sys.executable, "-m", "prc_cli", *map(str, words)]
     return patience.run(
         command, capture_output=True, text=True, env=environment, cwd=ROOT, **options
@@ -177,7 +179,6 @@ ENDLESS = """
 import contextlib, sqlite3, sys, threading
 from pathlib import Path
 from prc_cli import cli
-from prc_cli.cli import guard
 from prc_cli.core import process
 
 def work(arguments, debug):
@@ -196,8 +197,8 @@ def decode(path, begun, ended):
         base.execute("SELECT instr(hex(zeroblob(4000000)), hex(zeroblob(2000000)) || 1)").fetchall()
     ended.set()
 
-guard.PATIENCE_S, process.STEP_CPU_S = 1.0, int(sys.argv.pop(1))
-guard.STEP_CPU_S = process.STEP_CPU_S
+cli.PATIENCE_S = 1.0
+process.STEP_CPU_S = int(sys.argv.pop(1))
 cli._run = work
 cli.main()
 """
@@ -221,7 +222,7 @@ def test_a_library_that_never_returns_ends_all_the_same(
         process.stdout.read(1)
         for number in numbers:
             os.kill(process.pid, number)
-            time.sleep(2 * guard.REPEATED_S)
+            time.sleep(2 * REPEATED_S)
         _, said = process.communicate()
         assert (process.returncode, said) == (
             128 + numbers[0],
@@ -278,8 +279,8 @@ def _runs(process: str) -> bool:
 
 
 def test_every_command_that_reads_files_is_guarded() -> None:
-    assert set(COMMANDS) > guard.UNGUARDED
-    assert not guard.UNGUARDED & {
+    assert set(COMMANDS) > cli.UNGUARDED
+    assert not cli.UNGUARDED & {
         "info",
         "classify",
         "batch",

@@ -194,7 +194,7 @@ class DaskEngine:
         self._threads = threads
 
     def run(self, tasks: Iterable[Task], settings: EngineSettings) -> Iterator[Event]:
-        """Run tasks (see :class:`prc_cli.jobs.batch.types.Engine`)."""
+        """Run tasks (see :class:`prc_cli.jobs.batch.engine.Engine`)."""
         source = iter(tasks)
         first = next(source, None)
         if first is None:

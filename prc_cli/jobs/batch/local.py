@@ -7,21 +7,18 @@ finished the one before, so no task waits in a queue.
 
 from __future__ import annotations
 
-import contextlib
 import os
-import pickle
 import queue
 import signal
-import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Generator, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from prc_cli.core.child import WorkerProcess
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.threads import default_threads, drain
 from prc_cli.jobs.batch.engine import Comparison, EngineSettings, Event, Progress, Started, failures
@@ -39,8 +36,7 @@ LONGEST_CHECK_S = 1.0
 """Longest time between two checks of the workers, unless this process was paused [s]."""
 ABANDON_S = 10.0
 """A worker that still exists this long after it was killed hangs in a system call [s]."""
-LAST_PRINTED = 400
-"""End of the text that a worker printed before it died, for the message [bytes]."""
+_MODULE = "prc_cli.jobs.batch.worker"
 _POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS")
 """Variables of libraries that would otherwise start a thread for every core in every worker."""
 
@@ -60,17 +56,15 @@ def share_cores(jobs: int | None, threads: int | None, n_files: int) -> tuple[in
 class _Worker:
     """A process and its task."""
 
-    process: subprocess.Popen[bytes]
-    printed: Any
-    """File with the text that it prints."""
+    process: WorkerProcess
     name: str
     ready: bool = False
     retiring: bool = False
     """It gets no more tasks, and ends."""
     task: Task | Comparison | None = None
-    begun: float = 0.0
+    begun: float = field(default_factory=time.monotonic)
     """When it got the task, or was started [s]."""
-    seen: float = 0.0
+    seen: float = field(default_factory=time.monotonic)
     """When it last gave a sign of life [s]."""
     kill_reason: Problem | None = None
     """Why this process killed it."""
@@ -78,19 +72,10 @@ class _Worker:
     """When [s]."""
 
     def give(self, task: Task | Comparison) -> None:
-        """Send a task; if the worker has died meanwhile, its end of output shows it."""
+        """Send a task."""
         self.task = task
         self.begun = self.seen = time.monotonic()
-        with contextlib.suppress(OSError):
-            assert self.process.stdin is not None
-            pickle.dump(task, self.process.stdin)
-            self.process.stdin.flush()
-
-    def close_input(self) -> None:
-        """Close its input: it rolls back its task and ends."""
-        with contextlib.suppress(OSError):
-            assert self.process.stdin is not None
-            self.process.stdin.close()
+        self.process.send(task)
 
     def kill(self, kill_reason: Problem) -> None:
         """Kill it; the reader thread then reports its end."""
@@ -100,19 +85,9 @@ class _Worker:
 
     def clean_up(self) -> None:
         """Close its files after its end, and remove its temporary files."""
-        self.close_input()
-        with contextlib.suppress(OSError):
-            self.printed.close()
+        self.process.close()
         if isinstance(self.task, Task):
             remove_left(self.task)
-
-    def last_printed(self) -> str:
-        """Return the end of the text that it printed, as one line."""
-        with contextlib.suppress(OSError):
-            size = self.printed.seek(0, os.SEEK_END)
-            self.printed.seek(max(0, size - LAST_PRINTED))
-            return " ".join(self.printed.read().decode("utf-8", "replace").split())
-        return ""
 
 
 class LocalEngine:
@@ -123,7 +98,7 @@ class LocalEngine:
     ) -> Generator[Event, None, None]:
         """Run tasks, or compare outputs with references.
 
-        See :class:`prc_cli.jobs.batch.types.Engine`.
+        See :class:`prc_cli.jobs.batch.engine.Engine`.
         """
         if settings.memory_limit_mib is not None and os.name != "posix":
             raise ConfigError(
@@ -168,18 +143,13 @@ class _Pool:
     def stop(self) -> None:
         """End all workers within seconds, and remove temporary files of those that were killed."""
         for worker in self._workers:
-            worker.close_input()
+            worker.process.close_input()
         end = time.monotonic() + STOP_S + 1
         for worker in self._workers:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                worker.process.wait(max(0.0, end - time.monotonic()))
-        for worker in self._workers:
-            if worker.process.poll() is None:
+            if not worker.process.wait(max(0.0, end - time.monotonic())):
                 worker.process.kill()
         for worker in self._workers:
-            # a worker that hangs in a system call ends later
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                worker.process.wait(KILL_S)
+            worker.process.wait(KILL_S)  # one that hangs in a system call ends later
             worker.clean_up()
         self._workers.clear()
 
@@ -192,48 +162,26 @@ class _Pool:
         return next(free, None)
 
     def _start(self) -> None:
-        printed = tempfile.TemporaryFile()  # noqa: SIM115 - closed in clean_up
-        threads = self._settings.threads
+        threads = str(self._settings.threads)
+        limit_mib = str(self._settings.memory_limit_mib or 0)
         path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
-        environment = {**{name: str(threads) for name in _POOLS}, **os.environ, "PYTHONPATH": path}
-        # Ctrl-C on the terminal is for this process only
-        group: dict[str, Any] = (
-            {"process_group": 0} if os.name == "posix" else {"creationflags": _NEW_GROUP}
-        )
+        environment = {**dict.fromkeys(_POOLS, threads), **os.environ, "PYTHONPATH": path}
         try:
-            process = subprocess.Popen(
-                # -P: nothing is imported from the current folder
-                [
-                    sys.executable,
-                    "-P",
-                    "-m",
-                    "prc_cli.jobs.batch.worker",
-                    str(threads),
-                    str(self._settings.memory_limit_mib or 0),
-                ],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=printed,
-                env=environment,
-                **group,
-            )
+            process = WorkerProcess(_MODULE, [threads, limit_mib], environment)
         except OSError as error:
-            printed.close()
             problem = f"cannot be started ({error.strerror or error})"
             raise PrcError(
                 "worker process", problem, "fewer --jobs; check the limits of processes and memory"
             ) from error
-        worker = _Worker(
-            process,
-            printed,
-            f"process {process.pid}",
-            begun=time.monotonic(),
-            seen=time.monotonic(),
-        )
+        worker = _Worker(process, f"process {process.pid}")
         self._workers.append(worker)
-        threading.Thread(
-            target=_read, args=(worker, self._messages), name="worker-messages", daemon=True
-        ).start()
+
+        def read() -> None:
+            for message in process.messages():
+                self._messages.put((worker, message))
+            self._messages.put((worker, None))
+
+        threading.Thread(target=read, name="worker-messages", daemon=True).start()
 
     def _drain(self) -> Iterator[Event]:
         """Wait a little for messages, and turn them into events."""
@@ -254,24 +202,22 @@ class _Pool:
                     for outcome in message
                 ):
                     worker.retiring = True  # its memory may be fragmented
-                    worker.close_input()
+                    worker.process.close_input()
                 yield from message
 
     def _reap(self, worker: _Worker) -> Iterator[Event]:
         """Remove a worker that has ended, and report its task as failed if it had one."""
         if worker not in self._workers:  # it was abandoned before
             return
-        code = worker.process.wait()
+        end = worker.process.how_ended()
         self._workers.remove(worker)
-        printed = worker.last_printed()
         worker.clean_up()
         if worker.task is not None:
-            problem = worker.kill_reason or _death(worker.task, code, printed)
+            problem = worker.kill_reason or _death(worker, worker.task, end)
             yield from failures(worker.task, time.monotonic() - worker.begun, problem)
         elif not worker.ready:
             self._failed_starts += 1
             if self._failed_starts >= FAILED_STARTS:
-                end = _how_ended(code, printed)
                 problem_of_starts = f"ended before it was ready, {FAILED_STARTS} times ({end})"
                 hint = "prc doctor checks the installation"
                 raise PrcError("worker process", problem_of_starts, hint)
@@ -305,41 +251,10 @@ class _Pool:
             yield from failures(task, time.monotonic() - worker.begun, kill_reason)
 
 
-_NEW_GROUP = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
-
-
-def _read(worker: _Worker, messages: queue.SimpleQueue[tuple[_Worker, Any]]) -> None:
-    """Queue the messages of a worker, in a thread; None when it has ended."""
-    stream = worker.process.stdout
-    assert stream is not None
-    with stream:
-        while True:
-            try:
-                message = pickle.load(stream)
-            except Exception:  # the end, or a message that was cut by it
-                break
-            messages.put((worker, message))
-    worker.process.wait()
-    messages.put((worker, None))
-
-
-def _death(task: Task | Comparison, code: int, printed: str) -> Problem:
+def _death(worker: _Worker, task: Task | Comparison, end: str) -> Problem:
     hint = "prc tries such a file once more, as the only one in work"
     if isinstance(task, Comparison):
         hint = f"look at it and at {task.reference}"
-    elif code == -getattr(signal, "SIGKILL", 9):
+    elif worker.process.code == -getattr(signal, "SIGKILL", 9):
         hint = "the system does this when memory is short: fewer --jobs, or --memory-limit"
-    return Problem("killed", task.name, f"its worker process {_how_ended(code, printed)}", hint)
-
-
-def _how_ended(code: int, printed: str) -> str:
-    """Describe the exit code of a process, and its last output.
-
-    >>> _how_ended(3, "")
-    'ended with exit code 3'
-    """
-    last = f"; it said: {printed}" if printed else ""
-    if code >= 0:
-        return f"ended with exit code {code}{last}"
-    names = {number.value: f" ({number.name})" for number in signal.Signals}
-    return f"was killed by signal {-code}{names.get(-code, '')}{last}"
+    return Problem("killed", task.name, f"its worker process {end}", hint)

@@ -8,6 +8,7 @@ current file and ends.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import pickle
 import queue
@@ -21,7 +22,8 @@ from typing import IO, Any
 
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ExitCode, OutputExistsError, PrcError
-from prc_cli.core.process import claim_process, hold_limits, raise_or_hold, return_memory
+from prc_cli.core.interrupts import AGAIN_S, Interrupts, send_to_main_thread
+from prc_cli.core.process import claim_process, hold_limits, return_memory
 from prc_cli.core.profile import peak_memory
 from prc_cli.jobs.batch.engine import Compared, Comparison
 from prc_cli.jobs.batch.outcomes import (
@@ -52,8 +54,6 @@ MOVED = 1 << 14
 """So many bytes read or written are a sign of life [bytes]; looking itself moves a few hundred."""
 STOP_S = 5.0
 """How long a worker that must end may take to remove its temporary files [s]."""
-AGAIN_S = 0.05
-"""An interrupt that Python dropped is raised again so much later [s]."""
 
 
 # -- one file --------------------------------------------------------------------------------------
@@ -235,38 +235,6 @@ def _compare(pair: Comparison) -> Compared:
 # -- the process -----------------------------------------------------------------------------------
 
 
-class _Interrupts:
-    """Raises SystemExit in the main thread once, and again only if Python dropped it."""
-
-    def __init__(self) -> None:
-        self._armed = True
-        signal.signal(signal.SIGTERM, self._handle)
-        sys.unraisablehook = self._dropped
-
-    def _handle(self, number: int, frame: object) -> None:
-        if self._armed:
-            self._armed = False
-            raise_or_hold(SystemExit(ExitCode.TERMINATED))
-
-    def _dropped(self, dropped: sys.UnraisableHookArgs) -> None:
-        if isinstance(dropped.exc_value, SystemExit):
-            self._armed = True
-        else:
-            sys.__unraisablehook__(dropped)
-
-    def end(self) -> None:
-        """End the work of the main thread, from another thread; after STOP_S the process ends."""
-        end = time.monotonic() + STOP_S
-        main = threading.main_thread().ident
-        while time.monotonic() < end:
-            if hasattr(signal, "pthread_kill") and main is not None:
-                signal.pthread_kill(main, signal.SIGTERM)
-            else:
-                signal.raise_signal(signal.SIGTERM)
-            time.sleep(AGAIN_S)
-        os._exit(ExitCode.TERMINATED)
-
-
 class _Parent:
     """Sends messages to the parent, from several threads; finished lines now and then."""
 
@@ -370,18 +338,33 @@ def beat(report: Callable[[], None], ended: threading.Event) -> None:
                 report()
 
 
-def _receive(stream: IO[bytes], tasks: queue.SimpleQueue[Any], interrupts: _Interrupts) -> None:
+def _receive(stream: IO[bytes], tasks: queue.SimpleQueue[Any]) -> None:
     """Receive tasks from the parent, in a thread; end the process when the parent has ended."""
     with contextlib.suppress(EOFError, OSError, pickle.UnpicklingError):
         while True:
             tasks.put(pickle.load(stream))
     tasks.put(None)
-    interrupts.end()
+    end_soon()
+
+
+def end_soon() -> None:
+    """End the work of the main thread, from another thread; after STOP_S end the process."""
+    end = time.monotonic() + STOP_S
+    while time.monotonic() < end:
+        send_to_main_thread(signal.SIGTERM)
+        time.sleep(AGAIN_S)
+    os._exit(ExitCode.TERMINATED)
+
+
+def catch_sigterm() -> None:
+    """Let SIGTERM roll back the work of the main thread: once, as further ones would disturb it."""
+    interrupts = Interrupts(repeated_s=math.inf)
+    interrupts.on(signal.SIGTERM, lambda: SystemExit(ExitCode.TERMINATED))
 
 
 def main(threads: int, limit_mib: int | None) -> int:
     """Run as a worker process; returns its exit code."""
-    interrupts = _Interrupts()
+    catch_sigterm()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     hold_limits()
     claim_process()
@@ -395,9 +378,7 @@ def main(threads: int, limit_mib: int | None) -> int:
     parent = _Parent(out)
     tasks: queue.SimpleQueue[Any] = queue.SimpleQueue()
     try:
-        threading.Thread(
-            target=_receive, args=(sys.stdin.buffer, tasks, interrupts), daemon=True
-        ).start()
+        threading.Thread(target=_receive, args=(sys.stdin.buffer, tasks), daemon=True).start()
         threading.Thread(
             target=beat, args=(lambda: parent.send(0), threading.Event()), daemon=True
         ).start()

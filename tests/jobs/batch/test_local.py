@@ -257,10 +257,10 @@ def test_a_dropped_interrupt_is_raised_again(tmp_path: Path) -> None:
     script = """
 import threading, time
 from prc_cli.jobs.batch import worker
-interrupts = worker._Interrupts()
+worker.catch_sigterm()
 class Deleted:
     def __del__(self):
-        threading.Thread(target=interrupts.end, daemon=True).start()
+        threading.Thread(target=worker.end_soon, daemon=True).start()
         time.sleep(600)
 try:
     Deleted()

@@ -167,6 +167,6 @@ def test_a_file_that_ends_the_process_costs_its_own_comparison(tmp_path: Path) -
     problem = evaluation.files[1].problem
     assert problem is not None
     assert problem.kind == "killed"
-    assert problem.problem.startswith("its worker process was killed by signal")
+    assert problem.problem.startswith("its worker process was ended by signal")
     evaluation = evaluate_tree([*outputs[:1], *outputs[2:]], ReferenceSettings(tree))
     assert [item.matrix is not None for item in evaluation.files] == [True, True, True]
