@@ -36,7 +36,7 @@ from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.writing.columns import OutputConfig
 from prc_cli.methods.base import MethodParams
-from prc_cli.methods.methods import METHODS, MethodName, MethodTables, table_of
+from prc_cli.methods.methods import METHODS, PRESETS_OF_OTHERS, MethodName, MethodTables, table_of
 
 
 class _Input(Params):
@@ -141,6 +141,7 @@ PRESETS = (
     "rings",
     "street-scan",
     "street-scan-published",
+    *PRESETS_OF_OTHERS,
 )
 """Names of the presets; each is a file of the sample configurations (:func:`preset_file`)."""
 
@@ -345,6 +346,8 @@ def from_folder(table: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
 
 def preset_file(name: str) -> Path:
     """Return the file of a preset."""
+    if name in PRESETS_OF_OTHERS:
+        return PRESETS_OF_OTHERS[name]
     return samples_folder() / f"{name.replace('-', '_')}.toml"
 
 

@@ -11,12 +11,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from prc_cli.core.files import suffix_of
+from prc_cli.core.plugins import load_plugins
 
 if TYPE_CHECKING:
     from prc_cli.core.stream import ScanStream
@@ -131,7 +131,7 @@ def formats() -> tuple[Format, ...]:
     built_in = [
         form for room in _ROOMS for form in import_module(f"prc_cli.formats.{room}").FORMATS
     ]
-    return (*built_in, *(entry.load() for entry in entry_points(group=ENTRY_POINTS)))
+    return (*built_in, *load_plugins(ENTRY_POINTS))
 
 
 @lru_cache(maxsize=4)

@@ -1,6 +1,7 @@
 """Interface of a classifier: how the stream is cut for it, and how it labels a block.
 
-A method is one folder beside this file and one row in :mod:`prc_cli.methods.methods`.
+A method is one folder beside this file and one row in :mod:`prc_cli.methods.methods`, or a
+:class:`Method` of another package.
 :mod:`prc_cli.methods.run` runs all methods, in any number of threads.
 
 Most steps of a method need only their own block. A step that depends on earlier blocks receives the
@@ -15,6 +16,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 from prc_cli.core.classes import Label
@@ -128,7 +130,7 @@ class OneByOne(Generic[StateT]):
 class Needs:
     """What a method requires of its input."""
 
-    kernels: frozenset[str]
+    kernels: frozenset[str] = frozenset()
     """Folders or modules of its compiled loops, for :func:`prc_cli.kernels.load_kernels`."""
     lines_per_block: int | None = None
     """k, scan lines per block, fewer only at the end of the stream.
@@ -288,6 +290,31 @@ class MethodParams(Params):
     def method(self) -> Classifier[Any, Any]:
         """Return the method with these parameters."""
         raise NotImplementedError
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """A method as the command line and the configuration know it.
+
+    Another package adds one by an entry point of the group ``prc_cli.methods`` that names a
+    ``Method``.
+    """
+
+    name: str
+    """Value of ``--method``, in lower case with hyphens."""
+    params: type[MethodParams]
+    """Its table in the configuration."""
+    description: str
+    """Title of the table."""
+    mapping: str | None = None
+    """Classes for ``prc evaluate``: ``street`` or ``street_scan``; None = those of PRC."""
+    presets: tuple[Path, ...] = ()
+    """Presets: TOML files, whose names are those of the presets with underscores."""
+
+    @property
+    def table(self) -> str:
+        """Name of its table in the configuration."""
+        return self.name.replace("-", "_")
 
 
 def beams_of(block: ScanBlock) -> F64:

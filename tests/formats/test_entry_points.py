@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from prc_cli.core.plugins import installed
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.registry import Format, by_suffix, formats
@@ -138,6 +139,7 @@ def test_info_describes_it(installed: Path, drive: Path) -> None:
 def toy(installed: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Format]:
     """The format in this process."""
     monkeypatch.syspath_prepend(str(installed))
+    installed.cache_clear()
     formats.cache_clear()
     by_suffix.cache_clear()
     yield by_suffix("scans")[".toy"]

@@ -16,6 +16,7 @@ from prc_cli.evaluation.confusion import check_edges
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.writing.record import PROGRAM, read_record
+from prc_cli.methods.methods import METHOD_TABLE
 
 TIME_TOLERANCE_S = 6e-7
 """Half a microsecond (the rounding of times in text) plus the step of float64 at 1e9 s.
@@ -184,7 +185,7 @@ def tolerance_of(options: EvaluateOptions) -> float | None:
 DEFAULT_MAPPING = "prc"
 """Preset without a run record."""
 
-MAPPINGS = {"sequential-angle": "street_scan", "fused": "street", "rings": "street"}
+MAPPINGS = {name: method.mapping for name, method in METHOD_TABLE.items() if method.mapping}
 """Preset by method. Forests have the classes of PRC with every method."""
 
 COARSEST_FIRST = ("street_scan", "prc", "street")

@@ -189,7 +189,8 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
 import sys
 from pathlib import Path
 from prc_cli.jobs.batch.local import LocalEngine
-from prc_cli.jobs.batch.types import EngineSettings, Progress, Task
+from prc_cli.jobs.batch.engine import EngineSettings, Progress
+from prc_cli.jobs.batch.types import Task
 from prc_cli.config import LoadedConfig, RunConfig
 source = Path(sys.argv[1])
 tasks = [Task("a", source, source.parent / "out" / "a.npy", LoadedConfig(RunConfig()), "")]
