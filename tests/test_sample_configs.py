@@ -14,7 +14,7 @@ import pytest
 
 from prc_cli.config import PRESETS, load_config, preset_file, preset_table
 from prc_cli.core.config import flatten, merge, samples_folder
-from prc_cli.jobs.batch.plan import BatchConfig
+from prc_cli.jobs.batch.configs import BatchConfig
 from prc_cli.jobs.batch.types import ConfigLayers
 
 ROOT = Path(__file__).resolve().parent.parent

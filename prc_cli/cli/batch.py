@@ -445,7 +445,7 @@ def _verify(out: Path, *, as_json: bool, quiet: bool) -> None:
 
 
 def _settings(options: dict[str, Any]) -> BatchSettings:
-    from prc_cli.jobs.batch.report import check_reference
+    from prc_cli.jobs.batch.references import check_reference
     from prc_cli.jobs.batch.types import BatchSettings, ConfigLayers, ReferenceSettings, Shard
 
     if options["gates"] and options["reference"] is None:

@@ -21,13 +21,14 @@ from prc_cli.core.findings import is_doubt
 from prc_cli.core.version import __version__
 from prc_cli.evaluation.reports import percent
 from prc_cli.evaluation.scores import CLASS_SCORES, scores
+from prc_cli.jobs.batch.drift import Alarm
 from prc_cli.jobs.batch.engine import Compared, Progress, Started
 from prc_cli.jobs.batch.journal import Entry, Run
 from prc_cli.jobs.batch.lock import Holder
 from prc_cli.jobs.batch.outcomes import Done, Doubted, Failed, Problem
 from prc_cli.jobs.batch.outputs import Cleaned, Verified
 from prc_cli.jobs.batch.plan import Estimate, Plan
-from prc_cli.jobs.batch.report import Alarm, BatchSummary
+from prc_cli.jobs.batch.report import BatchSummary
 from prc_cli.jobs.batch.run import Again, Noted, Ready, RunEvent
 
 SHOWN = 20

@@ -58,7 +58,7 @@ def check(file: Path) -> None:
         loaded = load_config(file)
         more = ""
     else:
-        from prc_cli.jobs.batch.plan import BatchConfig
+        from prc_cli.jobs.batch.configs import BatchConfig
         from prc_cli.jobs.batch.types import ConfigLayers
 
         loaded = BatchConfig(ConfigLayers(file)).base

@@ -190,17 +190,6 @@ def check_unchanged(source: Path, before: tuple[int, ...]) -> None:
         )
 
 
-def make_folder(folder: Path) -> None:
-    """Make a folder of ours and those above it where they are missing."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        problem = f"cannot be made ({error.strerror or error})"
-        raise OutputError(
-            str(folder), problem, "check the output folder and its permissions"
-        ) from error
-
-
 def temporary_name(path: Path) -> Path:
     """Return a new hidden name beside ``path`` with the machine and the process id."""
     _note(_OUTPUT, path)

@@ -16,6 +16,17 @@ from prc_cli.core.errors import OutputError
 from prc_cli.core.files import atomic_output, read_small, remove_stale
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder of ours, and those above it, where they are missing."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        problem = f"cannot be made ({error.strerror or error})"
+        raise OutputError(
+            str(folder), problem, "check the output folder and its permissions"
+        ) from error
+
+
 def write_own(path: Path, text: str, *, private: bool = False) -> None:
     """Write a file, or replace it; ``private`` = no other user may read it.
 

@@ -41,6 +41,17 @@ def default_threads() -> int:
     return max(1, cores if quota is None else min(cores, math.ceil(quota)))
 
 
+def share_cores(jobs: int | None, threads: int | None, n_files: int) -> tuple[int, int]:
+    """Return the number of files at a time, and of threads for each.
+
+    >>> share_cores(2, 3, n_files=10), share_cores(4, 1, n_files=2)
+    ((2, 3), (2, 1))
+    """
+    cores = default_threads()
+    n_workers = max(1, min(jobs or cores, max(1, n_files)))
+    return n_workers, threads or max(1, cores // n_workers)
+
+
 def _quota(folder: Path) -> float | None:
     """Read the cores that a control group (version 2, then 1) allows; None = no limit."""
     try:

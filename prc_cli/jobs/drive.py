@@ -15,8 +15,9 @@ import numpy as np
 
 from prc_cli.config import LoadedConfig, with_layout_beside
 from prc_cli.core.errors import ConfigError
-from prc_cli.core.files import make_folder, whole_set
+from prc_cli.core.files import whole_set
 from prc_cli.core.findings import notices
+from prc_cli.core.own_file import make_folder
 from prc_cli.core.process import return_memory
 from prc_cli.core.stream import LabelledBlock, ReadTally
 from prc_cli.core.types import I64

@@ -311,11 +311,6 @@ class Method:
     presets: tuple[Path, ...] = ()
     """Presets: TOML files, whose names are those of the presets with underscores."""
 
-    @property
-    def table(self) -> str:
-        """Name of its table in the configuration."""
-        return self.name.replace("-", "_")
-
 
 def beams_of(block: ScanBlock) -> F64:
     """Return the beam angles of a block, (M,) float64 [rad].

@@ -47,6 +47,15 @@ def _field(method: Method) -> Any:
     return Field(default_factory=method.params, description=method.description)
 
 
+def table_of(method: str) -> str:
+    """Return the name of a method's table in the configuration.
+
+    >>> table_of("sequential-angle")
+    'sequential_angle'
+    """
+    return method.replace("-", "_")
+
+
 class _BuiltInTables(Params):
     """The parameters of all methods."""
 
@@ -64,17 +73,8 @@ else:
     MethodTables = create_model(
         "MethodTables",
         __base__=_BuiltInTables,
-        **{method.table: (method.params, _field(method)) for method in _OF_OTHERS},
+        **{table_of(method.name): (method.params, _field(method)) for method in _OF_OTHERS},
     )
 
 METHODS: tuple[MethodName, ...] = tuple(METHOD_TABLE)  # type: ignore[arg-type]
 """Names of the methods; a method's table in the configuration has underscores for hyphens."""
-
-
-def table_of(method: MethodName) -> str:
-    """Return the name of a method's table in the configuration.
-
-    >>> table_of("sequential-angle")
-    'sequential_angle'
-    """
-    return METHOD_TABLE[method].table

@@ -19,9 +19,10 @@ from prc_cli.cli import main
 from prc_cli.core.errors import BusyError
 from prc_cli.core.files import temporary_name
 from prc_cli.jobs.batch import run as run_module
+from prc_cli.jobs.batch.drift import Alarm
 from prc_cli.jobs.batch.outcomes import Done, Doubted, Failed, InputPrint, Problem
 from prc_cli.jobs.batch.plan import Plan
-from prc_cli.jobs.batch.report import Alarm, BatchSummary
+from prc_cli.jobs.batch.report import BatchSummary
 from prc_cli.jobs.batch.run import Listener, Noted, Ready
 from prc_cli.jobs.batch.types import BatchSettings
 from tests import patience

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli.core.plugins import installed
+from prc_cli.core import plugins
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.registry import Format, by_suffix, formats
@@ -139,11 +139,12 @@ def test_info_describes_it(installed: Path, drive: Path) -> None:
 def toy(installed: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Format]:
     """The format in this process."""
     monkeypatch.syspath_prepend(str(installed))
-    installed.cache_clear()
+    plugins.installed.cache_clear()
     formats.cache_clear()
     by_suffix.cache_clear()
     yield by_suffix("scans")[".toy"]
     sys.modules.pop("toy_of_a_test", None)
+    plugins.installed.cache_clear()
     formats.cache_clear()
     by_suffix.cache_clear()
 

@@ -361,17 +361,3 @@ def parse_since(text: str, now: Callable[[], datetime] = lambda: datetime.now(UT
 
 def _nanoseconds(time: datetime) -> int:
     return round(time.timestamp() * 10**6) * 1000
-
-
-# -- outputs ---------------------------------------------------------------------------------------
-
-
-def collisions(names: Iterable[str]) -> frozenset[str]:
-    """Return the outputs that more than one input would write, ignoring upper and lower case.
-
-    >>> sorted(collisions(["a.las", "b.las", "A.LAS"]))
-    ['A.LAS', 'a.las']
-    """
-    names = list(names)
-    counts = Counter(name.casefold() for name in names)
-    return frozenset(name for name in names if counts[name.casefold()] > 1)

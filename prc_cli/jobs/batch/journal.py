@@ -29,8 +29,8 @@ from types import TracebackType
 from typing import Any, Literal, TypeAlias, get_args
 
 from prc_cli.core.errors import BusyError, InputError, OutputError
-from prc_cli.core.files import make_folder, why_not_written
-from prc_cli.core.own_file import refuse_links
+from prc_cli.core.files import why_not_written
+from prc_cli.core.own_file import make_folder, refuse_links
 from prc_cli.core.version import __version__
 from prc_cli.jobs.batch.outcomes import (
     Done,

@@ -20,7 +20,7 @@ from typing import Any
 
 from prc_cli.core.child import WorkerProcess
 from prc_cli.core.errors import ConfigError, PrcError
-from prc_cli.core.threads import default_threads, drain
+from prc_cli.core.threads import drain
 from prc_cli.jobs.batch.engine import Comparison, EngineSettings, Event, Progress, Started, failures
 from prc_cli.jobs.batch.outcomes import MEMORY, Failed, Problem, remove_left
 from prc_cli.jobs.batch.types import Task
@@ -39,17 +39,6 @@ ABANDON_S = 10.0
 _MODULE = "prc_cli.jobs.batch.worker"
 _POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS")
 """Variables of libraries that would otherwise start a thread for every core in every worker."""
-
-
-def share_cores(jobs: int | None, threads: int | None, n_files: int) -> tuple[int, int]:
-    """Return the number of files at a time, and of threads for each.
-
-    >>> share_cores(2, 3, n_files=10), share_cores(4, 1, n_files=2)
-    ((2, 3), (2, 1))
-    """
-    cores = default_threads()
-    n_workers = max(1, min(jobs or cores, max(1, n_files)))
-    return n_workers, threads or max(1, cores // n_workers)
 
 
 @dataclass(slots=True, eq=False)

@@ -27,8 +27,8 @@ from types import TracebackType
 from filelock import FileLock, Timeout
 
 from prc_cli.core.errors import BusyError, OutputError
-from prc_cli.core.files import make_folder, output_errors, read_small
-from prc_cli.core.own_file import refuse_links, write_own
+from prc_cli.core.files import output_errors, read_small
+from prc_cli.core.own_file import make_folder, refuse_links, write_own
 from prc_cli.core.version import __version__
 from prc_cli.jobs.batch.types import Shard, own_name
 

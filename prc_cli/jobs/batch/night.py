@@ -18,7 +18,8 @@ from prc_cli.evaluation.reports import percent
 from prc_cli.evaluation.scores import scores
 from prc_cli.formats.writing.record import read_record
 from prc_cli.jobs.batch.engine import Compared
-from prc_cli.jobs.batch.report import BatchEvaluation, BatchSummary
+from prc_cli.jobs.batch.references import BatchEvaluation
+from prc_cli.jobs.batch.report import BatchSummary
 from prc_cli.jobs.batch.types import OWN_FOLDER, own_name
 from prc_cli.jobs.drive import output_name
 from prc_cli.jobs.evaluate.pictures import class_pictures

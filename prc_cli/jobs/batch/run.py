@@ -12,26 +12,20 @@ from itertools import groupby
 from typing import TypeAlias
 
 from prc_cli.core.errors import BusyError, ExitCode, PrcError
-from prc_cli.core.files import make_folder, output_errors
-from prc_cli.core.threads import close_items
-from prc_cli.jobs.batch.discovery import check, discover
+from prc_cli.core.files import output_errors
+from prc_cli.core.own_file import make_folder
+from prc_cli.core.threads import close_items, share_cores
+from prc_cli.jobs.batch.configs import BatchConfig
+from prc_cli.jobs.batch.discovery import check
+from prc_cli.jobs.batch.drift import Alarm, find_alarms
 from prc_cli.jobs.batch.engine import Engine, EngineSettings, Event
 from prc_cli.jobs.batch.journal import Entry, Journal, read_entries
-from prc_cli.jobs.batch.local import LocalEngine, share_cores
+from prc_cli.jobs.batch.local import LocalEngine
 from prc_cli.jobs.batch.lock import Lock
 from prc_cli.jobs.batch.outcomes import Done, Doubted, Failed, Outcome, Problem
-from prc_cli.jobs.batch.plan import BatchConfig, Estimate, Plan, Planned, estimate, make_plan
-from prc_cli.jobs.batch.report import (
-    Alarm,
-    BatchEvaluation,
-    BatchSummary,
-    Ended,
-    Output,
-    check_reference,
-    drift,
-    evaluate_tree,
-    write_summary,
-)
+from prc_cli.jobs.batch.plan import Estimate, Plan, Planned, estimate, plan_archive
+from prc_cli.jobs.batch.references import BatchEvaluation, Output, check_reference, evaluate_tree
+from prc_cli.jobs.batch.report import BatchSummary, Ended, write_summary
 from prc_cli.jobs.batch.types import OWN_FOLDER, BatchSettings, Task
 from prc_cli.jobs.drive import output_name
 
@@ -40,8 +34,6 @@ LONGEST_PAUSE_S = 30.0
 """Pause before files are tried again; it doubles every time [s]."""
 ALONE = frozenset({"killed", "memory"})
 """Problems that are less likely if the file is the only one in work."""
-EARLIER_FILES = 500
-"""Classes of files are compared with those of so many that were done last before this run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +76,7 @@ def plan_batch(settings: BatchSettings) -> tuple[Plan, Estimate]:
     folder = settings.out / OWN_FOLDER
     check(settings)
     known = {entry.name: entry for entry in read_entries(folder)} if folder.is_dir() else {}
-    plan = _plan(settings, config, known)
+    plan = plan_archive(settings, config, known)
     return plan, estimate(plan.todo, known, share_cores(settings.jobs, 1, plan.n_items)[0])
 
 
@@ -100,18 +92,7 @@ def run_batch(
     with Lock(folder, settings.shard) as lock, Journal(folder, settings.shard) as journal:
         known = {entry.name: entry for entry in journal.entries()}
         run = _BatchRun(settings, engine or LocalEngine(), listener, lock, journal)
-        return run.execute(_plan(settings, config, known), config, known)
-
-
-def _plan(settings: BatchSettings, config: BatchConfig, known: dict[str, Entry]) -> Plan:
-    archive = discover(settings)
-    plan = make_plan(settings, archive.files, config, known)
-    return replace(
-        plan,
-        left_out=archive.left_out,
-        n_not_selected=archive.n_not_selected,
-        archive=archive.older.union(file.name for file in archive.files),
-    )
+        return run.execute(plan_archive(settings, config, known), config, known)
 
 
 class _BatchRun:
@@ -309,21 +290,12 @@ class _BatchRun:
 
     def _compare_classes(self, plan: Plan, known: Mapping[str, Entry]) -> None:
         """Raise an alarm for every file whose class shares are far from those of earlier runs."""
-        earlier = _earlier(known.values()) if self._settings.drift else {}
-        for item in plan.todo:
-            outcome = self._outcomes.get(item.task.name)
-            if not isinstance(outcome, Done):
-                continue
-            labels = [
-                dict(entry.outcome.labels)
-                for entry in earlier.get(item.task.config_sha256, [])
-                if isinstance(entry.outcome, Done) and entry.name != item.task.name
-            ]
-            sentence = drift(dict(outcome.labels), labels[:EARLIER_FILES])
-            if sentence is not None:
-                alarm = Alarm(item.task.name, sentence)
-                self._alarms.append(alarm)
-                self._listener(alarm)
+        if not self._settings.drift:
+            return
+        tasks = [item.task for item in plan.todo]
+        for alarm in find_alarms(tasks, self._outcomes, known.values()):
+            self._alarms.append(alarm)
+            self._listener(alarm)
 
     def _evaluate(self, plan: Plan) -> BatchEvaluation | None:
         """Compare all finished outputs of the archive, also of earlier runs, with the reference."""
@@ -384,14 +356,3 @@ class _BatchRun:
     def _note(self, text: str) -> None:
         self._notes.append(text)
         self._listener(Noted(text))
-
-
-def _earlier(known: Iterable[Entry]) -> dict[str, list[Entry]]:
-    # by configuration, latest first: one more than needed, since a file is not compared with itself
-    files: dict[str, list[Entry]] = {}
-    for entry in sorted(known, key=lambda entry: (entry.finished or "", entry.name), reverse=True):
-        if entry.state == "done":
-            latest = files.setdefault(entry.config_sha256, [])
-            if len(latest) <= EARLIER_FILES:
-                latest.append(entry)
-    return files

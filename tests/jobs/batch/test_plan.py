@@ -20,10 +20,11 @@ from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.formats.writing.record import fingerprint
 from prc_cli.jobs.batch import discovery
+from prc_cli.jobs.batch.configs import BatchConfig
 from prc_cli.jobs.batch.discovery import Patterns, discover
 from prc_cli.jobs.batch.journal import Entry, State
 from prc_cli.jobs.batch.outcomes import Done, Failed, InputPrint, Problem
-from prc_cli.jobs.batch.plan import BatchConfig, Plan, make_plan
+from prc_cli.jobs.batch.plan import Plan, make_plan
 from prc_cli.jobs.batch.types import OWN_FOLDER, BatchSettings, ConfigLayers, Task
 from prc_cli.jobs.batch.worker import run_task
 from tests.patience import HANGS_S

@@ -14,7 +14,7 @@ import pytest
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.formats.writing.record import record_path
-from prc_cli.jobs.batch.report import NO_REFERENCE, Output, check_reference, evaluate_tree
+from prc_cli.jobs.batch.references import NO_REFERENCE, Output, check_reference, evaluate_tree
 from prc_cli.jobs.batch.types import ReferenceSettings
 from prc_cli.jobs.evaluate import evaluate_all
 from tests.fuzz.crafted import overflowing

@@ -21,15 +21,10 @@ from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError, ExitCode
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.scores import GateResult
+from prc_cli.jobs.batch.drift import MIN_EARLIER, Alarm, drift
 from prc_cli.jobs.batch.outcomes import Doubted, Failed, Problem
-from prc_cli.jobs.batch.report import (
-    MIN_EARLIER,
-    Alarm,
-    BatchEvaluation,
-    BatchSummary,
-    drift,
-    write_summary,
-)
+from prc_cli.jobs.batch.references import BatchEvaluation
+from prc_cli.jobs.batch.report import BatchSummary, write_summary
 from prc_cli.jobs.batch.run import run_batch
 from prc_cli.jobs.batch.types import BatchSettings, ConfigLayers, ReferenceSettings, Shard
 from prc_cli.jobs.classify import classify_ranges
