@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import signal
 import sys
 import threading
@@ -38,8 +37,9 @@ class Interrupts:
         signal.signal(number, self._raise)
 
     def _raise(self, number: int, frame: object) -> None:
+        before = self._heard.get(number)
         now = time.monotonic()
-        if now - self._heard.get(number, -math.inf) > self._repeated_s:
+        if before is None or now - before > self._repeated_s:
             self._heard[number] = now
             raise_or_hold(self._errors[number]())
 

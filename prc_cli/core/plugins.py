@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from functools import cache
-from importlib.metadata import EntryPoints, entry_points
+from importlib.metadata import entry_points
 from typing import Any
 
 
 @cache
-def installed() -> EntryPoints:
+def installed() -> Any:
     """Return the entry points of all installed packages, which takes 15 ms to read."""
     return entry_points()
 
