@@ -55,10 +55,11 @@ class BatchCommand(click.Group):
         parent: click.Context | None = None,
         **extra: Any,
     ) -> click.Context:
-        """Go on with a part if the first word names one; a folder of that name is ``./status``."""
+        """Go on with a subcommand that the first word names; ``./status`` is a folder."""
         if args and args[0] in self.commands:
-            part = self.commands[args[0]]
-            return part.make_context(f"{info_name} {args[0]}", args[1:], parent=parent, **extra)
+            subcommand = self.commands[args[0]]
+            name = f"{info_name} {args[0]}"
+            return subcommand.make_context(name, args[1:], parent=parent, **extra)
         typed = list(args)  # reading them takes them away
         context = super().make_context(info_name, args, parent=parent, **extra)
         context.meta[_TYPED] = typed
@@ -80,8 +81,8 @@ class BatchCommand(click.Group):
 def _complete_archive(
     context: click.Context, parameter: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    parts = [CompletionItem(name) for name in batch.commands if name.startswith(incomplete)]
-    return [*parts, CompletionItem(incomplete, type="dir")]
+    names = [name for name in batch.commands if name.startswith(incomplete)]
+    return [*map(CompletionItem, names), CompletionItem(incomplete, type="dir")]
 
 
 _option = click.option
@@ -360,8 +361,8 @@ def retry(out: Path, shard: str | None, **changes: Any) -> None:
     from prc_cli.jobs.batch.outputs import own_folder
     from prc_cli.jobs.batch.types import Shard, own_name
 
-    part = None if shard is None else Shard.parse(shard)
-    folder, typed, options = _read_command(own_folder(out) / own_name("command", part, ".json"))
+    last = own_name("command", None if shard is None else Shard.parse(shard), ".json")
+    folder, typed, options = _read_command(own_folder(out) / last)
     options |= {key: value for key, value in changes.items() if value is not None}
     options |= {"only_failed": True, "limit": None, "since": None, "out": out.absolute()}
     # names that were given to the last run start at the folder that it was started in

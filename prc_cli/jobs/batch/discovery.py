@@ -60,7 +60,7 @@ class Discovery:
     files: tuple[InputFile, ...]
     """Inputs of this run, sorted by the bytes of their names.
 
-    Files of one drive are together, in the order of its parts.
+    Files of one drive are together, in the order of their numbers.
     """
     left_out: tuple[LeftOut, ...]
     """Files and folders that look like inputs but are not read."""
@@ -73,7 +73,7 @@ class Discovery:
 def discover(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> Discovery:
     """List the inputs of an archive."""
     files: list[InputFile] = []
-    parts: dict[str, tuple[str | int, ...]] = {}
+    numbers: dict[str, tuple[str | int, ...]] = {}
     left_out: list[LeftOut] = []
     n_not_selected = 0
     newest: Counter[str] = Counter()
@@ -87,16 +87,20 @@ def discover(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> Disc
             left_out.append(item)
             continue
         selected = (not include or include.match(item.name)) and not exclude.match(item.name)
-        drive, parts[item.name] = drives.of(item.name)
+        drive, numbers[item.name] = drives.of(item.name)
         if not selected or (settings.shard is not None and not settings.shard.holds(drive)):
             n_not_selected += 1
         else:
             files.append(replace(item, drive=drive))
             newest[drive] = max(newest[drive], item.mtime_ns)
-    # a drive with a new part is new
+    # a drive with a new file is new
     older = frozenset(item.name for item in files if newest[item.drive] < since_ns)
     files = [item for item in files if item.name not in older]
-    files.sort(key=lambda item: (os.fsencode(item.drive), parts[item.name], os.fsencode(item.name)))
+
+    def place(item: InputFile) -> tuple[bytes, tuple[str | int, ...], bytes]:
+        return os.fsencode(item.drive), numbers[item.name], os.fsencode(item.name)
+
+    files.sort(key=place)
     left_out.sort(key=lambda item: os.fsencode(item.name))
     return Discovery(tuple(files), tuple(left_out), n_not_selected + len(older), older)
 
@@ -258,10 +262,10 @@ class Patterns:
                 raise ConfigError(
                     "pattern", f"found {pattern!r}, expected a glob such as *.laz or night/**/*.laz"
                 )
-            parts = text.removeprefix("/").split("/")
-            # by parts, so that no star matches a slash; None = any number of folders
+            # by names between slashes, so that no star matches a slash
             compiled = [
-                None if part == "**" else re.compile(fnmatch.translate(part)) for part in parts
+                None if name == "**" else re.compile(fnmatch.translate(name))
+                for name in text.removeprefix("/").split("/")
             ]
             self._patterns.append(("/" in text, compiled))
 
@@ -270,9 +274,9 @@ class Patterns:
 
     def match(self, name: str) -> bool:
         """Check whether a pattern matches a name."""
-        parts = name.split("/")
+        names = name.split("/")
         return any(
-            _match(parts if has_slash else parts[-1:], pattern)
+            _match(names if has_slash else names[-1:], pattern)
             for has_slash, pattern in self._patterns
         )
 
@@ -280,7 +284,7 @@ class Patterns:
 class Drives:
     """Patterns of the files of drives.
 
-    The last wildcards are the part. The files of one drive are equal in all other characters.
+    The last wildcards are the number. The files of one drive are equal in all other characters.
     """
 
     def __init__(self, patterns: Iterable[str]) -> None:
@@ -299,39 +303,38 @@ class Drives:
             self._patterns.append((Patterns([text]), match[1], match[2], match[3]))
 
     def of(self, name: str) -> tuple[str, tuple[str | int, ...]]:
-        """Return the drive of a file and its part, with numbers as int.
+        """Return the drive of a file and its number: words, with digits as int.
 
         Of a single file: its name and ().
         """
         folder, slash, last = name.rpartition("/")
-        for pattern, before, part, after in self._patterns:
+        for pattern, before, wildcards, after in self._patterns:
+            if not pattern.match(name):
+                continue
             middle = last.removesuffix(after)
-            # the part is as short as possible
-            for i in range(len(middle), -1, -1) if pattern.match(name) else ():
-                if fnmatch.fnmatchcase(middle[:i], before) and fnmatch.fnmatchcase(
-                    middle[i:], part
-                ):
+            # the number is as short as possible
+            for i in range(len(middle), -1, -1):
+                is_split = fnmatch.fnmatchcase(middle[:i], before)
+                if is_split and fnmatch.fnmatchcase(middle[i:], wildcards):
                     words = re.split(r"([0-9]+)", middle[i:])
                     number = tuple(int(word) if k % 2 else word for k, word in enumerate(words))
-                    return f"{folder}{slash}{middle[:i]}{part}{after}", number
+                    return f"{folder}{slash}{middle[:i]}{wildcards}{after}", number
         return name, ()
 
 
-def _match(parts: Sequence[str], pattern: Sequence[re.Pattern[str] | None]) -> bool:
-    """Check whether a pattern matches all parts of a name.
-
-    None (``**``) matches any number of parts, at the end one or more.
-    """
-    # numbers of parts that the beginning of the pattern may match
+def _match(names: Sequence[str], pattern: Sequence[re.Pattern[str] | None]) -> bool:
+    """Match all of a path, by its names; None (``**``) = any number, at the end one or more."""
+    # how many names the beginning of the pattern may match
     matched = {0}
-    for i, part_pattern in enumerate(pattern):
-        if part_pattern is None:
-            matched = set(range(min(matched) + (i == len(pattern) - 1), len(parts) + 1))
+    for i, name_pattern in enumerate(pattern):
+        if name_pattern is None:
+            is_last = i == len(pattern) - 1
+            matched = set(range(min(matched) + is_last, len(names) + 1))
         else:
-            matched = {n + 1 for n in matched if n < len(parts) and part_pattern.match(parts[n])}
+            matched = {n + 1 for n in matched if n < len(names) and name_pattern.match(names[n])}
         if not matched:
             return False
-    return len(parts) in matched
+    return len(names) in matched
 
 
 def parse_since(text: str, now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> int:

@@ -66,8 +66,8 @@ class Owner:
     """Random number that no other lock has."""
 
     def __str__(self) -> str:
-        part = f", shard {self.shard}" if self.shard else ""
-        return f"process {self.pid} of {self.user} on {self.host} (since {self.since}{part})"
+        shard = f", shard {self.shard}" if self.shard else ""
+        return f"process {self.pid} of {self.user} on {self.host} (since {self.since}{shard})"
 
 
 _UNKNOWN = Owner(
@@ -88,7 +88,7 @@ class Holder:
 class Lock:
     """The right to work in an output folder, as a context manager.
 
-    Shards with the same number of parts may run at the same time.
+    Shards of the same number may run at the same time.
     """
 
     def __init__(self, folder: Path, shard: Shard | None = None) -> None:

@@ -305,10 +305,10 @@ def remove_unplaced(task: Task) -> bool:
     was_unfinished = False
     for path in (record_path(task.output), task.output):
         with contextlib.suppress(OSError):
-            for part in tuple(parts_of(path)):
-                if is_same(part, path):
+            for temporary in tuple(parts_of(path)):
+                if is_same(temporary, path):
                     path.unlink()
-                    part.unlink()
+                    temporary.unlink()
                     was_unfinished = True
     return was_unfinished
 

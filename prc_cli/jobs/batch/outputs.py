@@ -57,18 +57,25 @@ def clean(out: Path, *, archive: Path | None = None, dry_run: bool = False) -> C
         forgotten = () if archive is None else tuple(_vanished(folder, archive))
         stale = []
         kept = []
-        for part in _temporary_files(out):
+        n_bytes = 0
+        for path in _temporary_files(out):
             # None = of another machine
-            is_left = True if _SHARED.fullmatch(part.name) else is_left_behind(part)
-            if is_left or (is_left is None and _is_old(part)):
-                stale.append(part)
+            is_left = True if _SHARED.fullmatch(path.name) else is_left_behind(path)
+            size = 0
+            is_old = False
+            with contextlib.suppress(OSError):
+                status = path.lstat()
+                size = status.st_size
+                is_old = time.time() - status.st_mtime > OTHER_MACHINE_S
+            if is_left or (is_left is None and is_old):
+                stale.append(path)
+                n_bytes += size
             elif is_left is None:
-                kept.append(part)
-        n_bytes = sum(_size(part) for part in stale)
+                kept.append(path)
         if not dry_run:
-            for part in stale:
+            for path in stale:
                 with contextlib.suppress(OSError):
-                    part.unlink()
+                    path.unlink()
             if forgotten:
                 with Journal(folder) as journal:
                     journal.forget(forgotten)
@@ -97,18 +104,6 @@ def _temporary_files(out: Path) -> Iterator[Path]:
                 Path(folder).name == OWN_FOLDER and _SHARED.fullmatch(name)
             ):
                 yield path
-
-
-def _is_old(path: Path) -> bool:
-    with contextlib.suppress(OSError):
-        return time.time() - path.lstat().st_mtime > OTHER_MACHINE_S
-    return False
-
-
-def _size(path: Path) -> int:
-    with contextlib.suppress(OSError):
-        return path.lstat().st_size
-    return 0
 
 
 # -- whole outputs: for backups, restored archives and doubtful disks ------------------------------

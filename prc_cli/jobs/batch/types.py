@@ -25,7 +25,7 @@ OWN_FOLDER = ".prc"
 
 @dataclass(frozen=True, slots=True)
 class Shard:
-    """One of several equal parts of an archive, each classified by its own run."""
+    """One of several equal shares of an archive, each classified by its own run."""
 
     index: int
     count: int
