@@ -345,7 +345,7 @@ class _ClusterRun:
                     self._submit(_absolute(task))
             if not (has_tasks or self._pending):
                 return
-            yield from self._drain()
+            yield from self._next_events()
             yield from self._watch()
 
     def stop(self) -> None:
@@ -394,8 +394,8 @@ class _ClusterRun:
         """Queue the key of an order that has ended; called in Dask's thread."""
         self._messages.put(("future", future.key))
 
-    def _drain(self) -> Iterator[Event]:
-        """Wait a little for messages, and turn them into events."""
+    def _next_events(self) -> Iterator[Event]:
+        # of the messages that come within a moment
         for kind, message in drain(self._messages):
             yield from self._on_event(*message) if kind == "event" else self._on_result(message)
 

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias, get_args
 
 from prc_cli.core.errors import BusyError, InputError, OutputError
 from prc_cli.core.files import why_not_written
@@ -291,11 +291,10 @@ def read_entries(folder: Path) -> list[Entry]:
 
 def read_runs(folder: Path) -> list[Run]:
     """Return the runs of all journals of a folder, oldest first."""
-    columns = "id, shard, version, owner, started, finished, exit_code, totals"
     runs: list[Run] = []
     for path in journal_paths(folder):
         with _opened(path) as database, _errors(path):
-            rows = database.execute(f"SELECT {columns} FROM runs") if _n_tables(database) else ()
+            rows = database.execute("SELECT * FROM runs") if _n_tables(database) else ()
             runs.extend(map(_run, rows))
     return sorted(runs, key=lambda run: (run.started, run.id))
 
@@ -306,12 +305,12 @@ def _all_entries(path: Path) -> list[Entry]:
 
 
 def _select(database: sqlite3.Connection, condition: str = "", *values: bytes) -> sqlite3.Cursor:
-    # the last column is the path of the input, if the journal has it
+    # with the path of the input, if the journal has it
     is_known = database.execute(
         "SELECT count(*) FROM sqlite_master WHERE name = 'sources'"
     ).fetchone()[0]
     source = "(SELECT path FROM sources WHERE sources.name = files.name)" if is_known else "NULL"
-    return database.execute(f"SELECT {_ENTRY}, {source} FROM files {condition}", values)
+    return database.execute(f"SELECT {_ENTRY}, {source} AS source FROM files {condition}", values)
 
 
 @contextlib.contextmanager
@@ -322,6 +321,7 @@ def _opened(path: Path) -> Iterator[sqlite3.Connection]:
     with _errors(path):
         # autocommit: every statement is a transaction
         database = sqlite3.connect(path, timeout=WAIT_S, isolation_level=None)
+        database.row_factory = sqlite3.Row
         try:
             _check(database, path)
         except BaseException:
@@ -350,7 +350,7 @@ def _check(database: sqlite3.Connection, path: Path) -> None:
         )
         hint = "upgrade: pip install --upgrade prc-cli, or choose another output folder"
         raise OutputError(str(path), problem, hint)
-    check = database.execute("PRAGMA quick_check(1)").fetchone()
+    check = tuple(database.execute("PRAGMA quick_check(1)").fetchone())
     if version < SCHEMA or check != ("ok",):
         raise _damaged(path, f"tables of version {version}" if version < SCHEMA else str(check))
 
@@ -433,49 +433,45 @@ def _newest(entries: Iterable[Entry]) -> dict[str, Entry]:
     return newest
 
 
-def _entry(row: tuple[Any, ...]) -> Entry:
-    (
-        name,
-        state,
-        config_sha256,
-        version,
-        run,
-        attempts,
-        started,
-        finished,
-        owner,
-        outcome,
-        owns,
-        source,
-    ) = row
-    check_type(str, config_sha256, version, run, started, owner, finished or "")
-    check_type(int, attempts, owns)
+def _entry(row: sqlite3.Row) -> Entry:
+    state = row["state"]
     if state not in get_args(State):
         message = f"state {str(state)[:40]!r}"
         raise ValueError(message)
-    last_outcome = None if outcome is None else from_json(outcome)
+    texts = [row[key] for key in ("config_sha256", "version", "run", "started", "owner")]
+    check_type(str, *texts, row["finished"] or "")
+    check_type(int, row["attempts"], row["owns_output"])
     return Entry(
-        os.fsdecode(name),
-        state,
-        config_sha256,
-        version,
-        run,
-        attempts,
-        started,
-        finished,
-        owner,
-        last_outcome,
-        bool(owns),
-        os.fsdecode(source or b""),
+        name=os.fsdecode(row["name"]),
+        state=state,
+        config_sha256=row["config_sha256"],
+        version=row["version"],
+        run=row["run"],
+        attempts=row["attempts"],
+        started=row["started"],
+        finished=row["finished"],
+        owner=row["owner"],
+        outcome=None if row["outcome"] is None else from_json(row["outcome"]),
+        owns_output=bool(row["owns_output"]),
+        source=os.fsdecode(row["source"] or b""),
     )
 
 
-def _run(row: tuple[Any, ...]) -> Run:
-    run, shard, version, owner, started, finished, exit_code, totals = row
-    check_type(str, run, shard, version, owner, started, finished or "")
-    check_type(int, exit_code or 0)
-    counts = tuple((str(key), int(count)) for key, count in json.loads(totals).items())
-    return Run(run, shard, version, owner, started, finished, exit_code, counts)
+def _run(row: sqlite3.Row) -> Run:
+    texts = [row[key] for key in ("id", "shard", "version", "owner", "started")]
+    check_type(str, *texts, row["finished"] or "")
+    check_type(int, row["exit_code"] or 0)
+    totals = json.loads(row["totals"])
+    return Run(
+        id=row["id"],
+        shard=row["shard"],
+        version=row["version"],
+        owner=row["owner"],
+        started=row["started"],
+        finished=row["finished"],
+        exit_code=row["exit_code"],
+        totals=tuple((str(key), int(count)) for key, count in totals.items()),
+    )
 
 
 def _text(text: str) -> str:

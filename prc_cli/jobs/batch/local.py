@@ -61,7 +61,6 @@ class _Worker:
     """When [s]."""
 
     def give(self, task: Task | Comparison) -> None:
-        """Send a task."""
         self.task = task
         self.begun = self.seen = time.monotonic()
         self.process.send(task)
@@ -126,7 +125,7 @@ class _Pool:
                         yield Started(name, worker.name)
                     worker.give(task)
                     task = None
-            yield from self._drain()
+            yield from self._events()
             yield from self._watch()
 
     def stop(self) -> None:
@@ -172,8 +171,8 @@ class _Pool:
 
         threading.Thread(target=read, name="worker-messages", daemon=True).start()
 
-    def _drain(self) -> Iterator[Event]:
-        """Wait a little for messages, and turn them into events."""
+    def _events(self) -> Iterator[Event]:
+        # of the messages that come within a moment
         for worker, message in drain(self._messages):
             worker.seen = time.monotonic()
             if message is None:

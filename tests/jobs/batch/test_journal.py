@@ -383,4 +383,5 @@ def test_a_pipe_in_its_place_stops_nobody(folder: Path) -> None:
 
 def test_what_is_committed_outlives_the_power(folder: Path) -> None:
     with Journal(folder) as journal:
-        assert journal._database.execute("PRAGMA synchronous").fetchone() == (3,)  # EXTRA
+        (synchronous,) = journal._database.execute("PRAGMA synchronous").fetchone()
+        assert synchronous == 3  # EXTRA
