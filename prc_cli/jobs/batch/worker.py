@@ -17,6 +17,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -182,31 +183,20 @@ def _problem_of(error: Exception, task: Task, before: InputPrint | None) -> Prob
         hint = "fewer --jobs or threads, or a higher --memory-limit"
         return Problem(MEMORY, task.name, f"out of memory ({problem.problem})", hint)
     if isinstance(error, OSError):
-        where = os.fsdecode(error.filename) if error.filename is not None else task.name
-        problem = Problem(
-            problem.kind,
-            where,
-            error.strerror or str(error),
-            "check the disk, the name and its permissions",
+        problem = replace(
+            problem,
+            where=task.name if error.filename is None else os.fsdecode(error.filename),
+            problem=error.strerror or str(error),
+            hint="check the disk, the name and its permissions",
         )
     elif isinstance(error, PrcError) and isinstance(error.__cause__, OSError):
-        problem = Problem(
-            type(error.__cause__).__name__, problem.where, problem.problem, problem.hint
-        )
+        problem = replace(problem, kind=type(error.__cause__).__name__)
     elif isinstance(error, ImportError):
-        problem = Problem(
-            problem.kind,
-            task.name,
-            f"a package cannot be loaded ({error})",
-            "prc doctor says which",
-        )
+        why = f"a package cannot be loaded ({error})"
+        problem = Problem(problem.kind, task.name, why, "prc doctor says which")
     elif not isinstance(error, PrcError):
-        problem = Problem(
-            problem.kind,
-            task.name,
-            f"{problem.kind}: {problem.problem}",
-            "a fault of prc; please report it",
-        )
+        why = f"{problem.kind}: {problem.problem}"
+        problem = Problem(problem.kind, task.name, why, "a fault of prc; please report it")
     if before is None:
         return problem
     try:
