@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prc_cli.streams.evidence.result import MAX_COLUMNS, _columns_with_returns
+from prc_cli.core.stream import LabelledBlock, ScanBlock
+from prc_cli.streams.evidence.result import MAX_COLUMNS, _Kept
 from prc_cli.streams.steps import ONE, Step, find_step
 from tests.streams.record_lists import M, only, open_records, read, scene
 
@@ -59,11 +60,18 @@ def test_the_step_is_that_of_nearly_all_numbers(numbers: np.ndarray, expected: S
     assert find_step(numbers) == expected
 
 
+def columns_of(range_m: np.ndarray) -> np.ndarray:
+    """The columns whose labels are kept."""
+    labels = np.zeros(range_m.shape, np.uint8)
+    block = ScanBlock(0, range_m)
+    return _Kept(LabelledBlock(block, labels, np.empty(0, np.uint8))).columns
+
+
 def test_labels_are_judged_in_columns_that_hold_returns() -> None:
     image = np.full((40, 4 * MAX_COLUMNS), np.nan, np.float32)
     image[:, ::4] = 5.0
-    columns = _columns_with_returns(image)
+    columns = columns_of(image)
     assert np.isfinite(image[:, columns]).all()
     assert len(columns) == MAX_COLUMNS
-    full = _columns_with_returns(np.full((40, 300), 5.0, np.float32))
+    full = columns_of(np.full((40, 300), 5.0, np.float32))
     np.testing.assert_array_equal(full, np.arange(1, 300, 3))
