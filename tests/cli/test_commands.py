@@ -450,22 +450,6 @@ def test_outputs_are_whole_or_not_there(prc: Prc, tmp_path: Path) -> None:
     assert "exists already" in result.err
     assert prc("calibrate", source, "-o", tmp_path / "old.toml", "--overwrite", "-q").code == 0
     assert load_config(tmp_path / "old.toml").sources
-    np.save(tmp_path / "short.npy", np.ones(7, np.uint8))
-    files = sorted(tmp_path.iterdir())
-    result = prc(
-        "calibrate",
-        source,
-        "--method",
-        "prc",
-        "--reference",
-        tmp_path / "short.npy",
-        "-o",
-        tmp_path / "new.toml",
-    )
-    assert (result.code, result.out) == (1, "")
-    assert result.err.startswith("error: ")
-    assert result.err.count("\n") == 1
-    assert sorted(tmp_path.iterdir()) == files
     result = prc("calibrate", source, "-o", source, "--overwrite")
     assert result.code == 2
     assert "inputs are never modified" in result.err
@@ -476,28 +460,10 @@ def test_wrong_options(prc: Prc, tmp_path: Path) -> None:
     for options, message in (
         (["--plot", tmp_path / "curves.png"], "ends in .svg"),
         (["--json", "--format", "markdown"], "contradict"),
-        (["--reference", source, "--objective", "beauty"], "found score 'beauty'"),
-        (
-            ["--reference", source, "--objective", "f1.houses"],
-            "'f1.houses', expected one of: f1.noise, f1.ground, f1.",
-        ),
-        (["--objective", "beauty"], "--objective needs --reference"),
-        (["--objective", "mean_f1"], "--objective needs --reference"),
-        (["--budget", 9], "--budget needs --reference"),
-        (["--mapping", "prc"], "--mapping needs --reference"),
-        (["--keep", "prc.support.zeta_p"], "--keep needs --reference"),
-        (["--training-share", 0.5], "--training-share needs --reference"),
-        (["--seed", 1], "--seed needs --reference"),
-        (["--max-shots", 5000], "--max-shots needs --reference"),
-        (["--reference-dimension", "class"], "--reference-dimension needs --reference"),
-        (["--reference", source, "--keep", "prc.zeta"], "--keep: found 'prc.zeta'"),
-        (["--reference", tmp_path / "none.npy"], "no such file"),
     ):
         result = prc("calibrate", source, *options)
-        assert result.code in (1, 2), message
+        assert result.code == 2
         assert message in result.err
-        assert result.code == 2 or "needs" not in message
-        assert "mean_f1, ground" not in result.err
 
 
 LAYOUT = "[layout]\n[[layout.fields]]\nname = 'range'\ntype = 'f4'\n"

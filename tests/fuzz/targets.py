@@ -153,7 +153,6 @@ LABELS = (
     ("transfer", "{case}", "{seeds}/pf6.las", "{out}/o.las", "--points", "{seeds}/a.csv"),
     ("render", "{seeds}/a.csv", "{out}/o.png", "--labels", "{case}", *_SMALL),
     ("thin", "{seeds}/a.csv", "{out}/o.npz", "--labels", "{case}", "--keep", "ground=1/4"),
-    ("calibrate", "{seeds}/a.csv", "--reference", "{case}", "--budget", "2"),
 )
 
 LAYOUT = (

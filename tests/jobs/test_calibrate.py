@@ -1,5 +1,4 @@
-"""Curves against the classifier, estimates for a known scanner, and a search with a known
-result."""
+"""Curves against the classifier, and estimates for a known scanner."""
 
 from __future__ import annotations
 
@@ -10,19 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prc_cli.config import RunConfig, load_config
 from prc_cli.core.blocks import regroup
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32
-from prc_cli.evaluation.mapping import load_mapping
-from prc_cli.evaluation.scores import gate_value, scores
-from prc_cli.jobs.calibrate import SearchOptions, calibrate
+from prc_cli.jobs.calibrate import calibrate
 from prc_cli.jobs.calibrate.implied import Advice, CurveCounter, Curves, imply, thresholds
-from prc_cli.jobs.calibrate.reports import as_json
-from prc_cli.jobs.calibrate.search import PRC_AXES, ZETA_P, ZETA_S, Searcher, with_values
 from prc_cli.jobs.calibrate.sensor import SensorEstimate, SensorMeter
-from prc_cli.jobs.classify import classify
 from prc_cli.methods.prc.pipeline import PrcParams
 from prc_cli.methods.prc.support import (
     BackgroundParams,
@@ -32,7 +25,7 @@ from prc_cli.methods.prc.support import (
     support,
     window_reach,
 )
-from tests.street import N_LINES, POINTS_PER_LINE, street, write_npz
+from tests.street import POINTS_PER_LINE, street, write_npz
 
 
 def count(image: F32, params: PrcParams, lines: int) -> Curves:
@@ -113,64 +106,6 @@ def test_noise_is_found_without_knowing_angles_or_slopes(sigma_m: float, per_m: 
         )
 
 
-def labelled(folder: Path, n_lines: int = N_LINES) -> tuple[Path, Path]:
-    """A street and, as its reference, what the classifier says with parameters that are not the
-    preset's."""
-    source = write_npz(folder / "street.npz", street(n_lines))
-    wanted = {
-        "prc": {
-            "support": {"zeta_p": 0.1},
-            "surfaces": {"area": 4.0, "gamma": 1},
-            "lines_per_block": 20,
-        }
-    }
-    classify(source, folder / "reference.npy", load_config(preset="urban", options=wanted))
-    return source, folder / "reference.npy"
-
-
-BLOCKS = load_config(preset="urban", options={"prc": {"lines_per_block": 20}})
-
-
-@pytest.mark.slow
-def test_search_gains_on_lines_that_it_did_not_see(tmp_path: Path) -> None:
-    source, reference = labelled(tmp_path)
-    trials: list[tuple[int, float]] = []
-    options = SearchOptions(reference, budget=120)
-    calibration = calibrate(source, BLOCKS, options, tried=lambda n, best: trials.append((n, best)))
-    assert calibration.search is not None
-    before, _, after = calibration.search.judged
-    assert (after.held_out["kappa"] or 0.0) > (before.held_out["kappa"] or 0.0)
-    assert len(trials) == calibration.search.n_trials <= 120
-    bests = [best for _, best in trials]
-    assert bests == sorted(bests)
-    assert calibration.search.n_training_groups + calibration.search.n_held_out_groups == 7
-    again = calibrate(source, BLOCKS, options)
-    assert as_json(again) == as_json(calibration)
-    other = calibrate(
-        source, BLOCKS, SearchOptions(reference, budget=2, objective="recall.ground", seed=4)
-    )
-    assert other.search is not None
-    assert other.search.n_trials == 2
-
-
-def test_sequential_angle_noise_can_be_searched(tmp_path: Path) -> None:
-    source = write_npz(tmp_path / "street.npz", street())
-    inputs = {"nadir": 0.0}
-    loaded = load_config(
-        preset="street-scan", options={"prc": {"lines_per_block": 30}, "input": inputs}
-    )
-    classify(source, tmp_path / "reference.npy", loaded)
-    calibration = calibrate(
-        source,
-        loaded,
-        SearchOptions(
-            tmp_path / "reference.npy", "sequential_angle", budget=3, objective="accuracy"
-        ),
-    )
-    assert calibration.search is not None
-    assert set(calibration.search.values) == {"sequential_angle.angles.range_noise_m"}
-
-
 def test_unusable_streams_are_refused(tmp_path: Path) -> None:
     one_line = write_npz(tmp_path / "one.npz", street()[:1])
     with pytest.raises(InputError, match="1 scan lines, expected 3 or more"):
@@ -178,64 +113,6 @@ def test_unusable_streams_are_refused(tmp_path: Path) -> None:
     nothing = write_npz(tmp_path / "nothing.npz", np.full((9, POINTS_PER_LINE), np.nan, np.float32))
     with pytest.raises(InputError, match="all of 1620 shots are missing"):
         calibrate(nothing)
-
-
-def test_unusable_references_are_refused(tmp_path: Path) -> None:
-    source, reference = labelled(tmp_path)
-    codes = np.load(reference)
-    np.save(tmp_path / "short.npy", codes[:-5])
-    with pytest.raises(InputError, match=f"{len(codes) - 5} records, but .* holds {len(codes)}"):
-        calibrate(source, BLOCKS, SearchOptions(tmp_path / "short.npy"))
-    np.save(tmp_path / "unmapped.npy", np.where(codes == 2, 99, codes))
-    with pytest.raises(InputError, match="class mapping does not list: 99"):
-        calibrate(source, BLOCKS, SearchOptions(tmp_path / "unmapped.npy"))
-    np.save(tmp_path / "empty.npy", np.zeros_like(codes))
-    with pytest.raises(InputError, match="none of .* records has a class that is scored"):
-        calibrate(source, BLOCKS, SearchOptions(tmp_path / "empty.npy"))
-    only_start = np.zeros_like(codes)
-    only_start[:POINTS_PER_LINE] = codes[:POINTS_PER_LINE]
-    np.save(tmp_path / "start.npy", only_start)
-    with pytest.raises(InputError, match="no (training|held-out) line has a class that is scored"):
-        calibrate(source, BLOCKS, SearchOptions(tmp_path / "start.npy"))
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"objective": "beauty"}, "found score 'beauty', expected one of: mean_f1, accuracy"),
-        ({"objective": "f1.dragon"}, "found score 'f1.dragon', expected one of: f1"),
-        ({"training_share": 1.0}, "--training-share: found 1"),
-        ({"keep": ("prc.support.zeta",)}, "--keep: found 'prc.support.zeta'"),
-        ({"mapping": "nowhere"}, "class mapping: found 'nowhere'"),
-    ],
-)
-def test_options_that_make_no_sense_are_refused_before_reading(
-    tmp_path: Path, options: dict[str, Any], message: str
-) -> None:
-    np.save(tmp_path / "reference.npy", np.zeros(4, np.uint8))
-    source = write_npz(tmp_path / "drive.npz", street()[:5])
-    with pytest.raises(ConfigError, match=message):
-        calibrate(source, BLOCKS, SearchOptions(tmp_path / "reference.npy", **options))
-
-
-@pytest.mark.slow
-@pytest.mark.data
-def test_oakland_section_helps_the_other_two(real_data: Path, tmp_path: Path) -> None:
-    """Lower bounds a little under what is measured (docs/calibration.md)."""
-    from prc_cli.jobs.evaluate import evaluate
-
-    first, *others = (real_data / "oakland" / f"oakland_{n}.csv.gz" for n in (1, 2, 3))
-    calibration = calibrate(first, load_config(preset="urban"), SearchOptions(first, "oakland"))
-    assert calibration.sensor.noise_at(2.5) == pytest.approx(0.0068, rel=0.2)
-    assert calibration.search is not None
-    kappa = [item.held_out["kappa"] or 0.0 for item in calibration.search.judged]
-    assert kappa[0] < 0.5 < kappa[1] < 0.7 < kappa[2]
-    for section, least in zip(others, (0.80, 0.80), strict=True):
-        classify(section, tmp_path / "labels.npy", calibration.config, overwrite=True)
-        assert (
-            gate_value(scores(evaluate(tmp_path / "labels.npy", section, "oakland")), "kappa")
-            > least
-        )
 
 
 SENSOR = SensorEstimate(
@@ -310,34 +187,3 @@ def test_the_length_is_the_largest_that_is_asked_for(
     assert advice.value == pytest.approx(value)
     assert advice.reason.startswith(reason)
     assert "; marks 1.0% of the returns" in advice.reason
-
-
-@pytest.mark.parametrize(
-    ("searched", "key", "start", "expected"),
-    [
-        ({ZETA_S, ZETA_P}, ZETA_P, (1.0, 3.0), (3.0, 3.0)),
-        ({ZETA_S, ZETA_P}, ZETA_S, (0.3, 1.0), (0.3, 0.3)),
-        ({ZETA_S, ZETA_P}, ZETA_S, (3.0, 1.0), (3.0, 1.0)),
-        ({ZETA_P}, ZETA_P, (None, 3.0), (None, 2.0)),
-        ({ZETA_S}, ZETA_S, (0.3, None), (1.5, None)),
-    ],
-)
-def test_a_threshold_takes_the_other_along(
-    searched: set[str],
-    key: str,
-    start: tuple[float | None, float | None],
-    expected: tuple[float | None, float | None],
-) -> None:
-    """zeta_s stays at least zeta_p; without a search they stay at 2 m and 1.5 m."""
-    config = with_values(RunConfig(), {ZETA_S: 2.0, ZETA_P: 1.5})
-    mapping = load_mapping("oakland")
-    searcher = Searcher(
-        config, mapping, (), "mean_f1", 5, tuple(axis for axis in PRC_AXES if axis.key in searched)
-    )
-    values = {
-        name: value
-        for name, value in zip((ZETA_S, ZETA_P), start, strict=True)
-        if value is not None
-    }
-    values_of_step = searcher._advisable(values, key)
-    assert (values_of_step.get(ZETA_S), values_of_step.get(ZETA_P)) == expected

@@ -13,7 +13,6 @@ from prc_cli.core.pages import render_page
 from prc_cli.core.types import F64
 from prc_cli.core.version import __version__
 from prc_cli.jobs.calibrate import Calibration
-from prc_cli.jobs.calibrate.search import figure
 from prc_cli.jobs.calibrate.sensor import SensorEstimate
 
 _MARK = "prc calibrate: "
@@ -31,14 +30,6 @@ def as_toml(calibration: Calibration) -> str:
         f"# Calibrated by prc {__version__} on {_plain(calibration.path)}",
         *(f"#   {name}: {value}" for name, value in sensor_rows(calibration.sensor)),
     ]
-    if calibration.search is not None:
-        for judged in calibration.search.judged:
-            sides = {"training": judged.training, "held-out": judged.held_out}
-            figures = (
-                f"{name} {figure(side, calibration.search.objective):.3f}"
-                for name, side in sides.items()
-            )
-            lines.append(f"#   {calibration.search.objective} {judged.name}: {', '.join(figures)}")
     lines += [f"# note: {_plain(note)}" for note in calibration.notes]
     lines += [f"# doubt: {_plain(doubt.sentence())}" for doubt in calibration.doubts]
     lines.append("")
@@ -105,27 +96,6 @@ def advice_rows(calibration: Calibration) -> Iterator[tuple[str, str, str, str]]
         yield item.key, _value(item.before), _value(item.value), item.reason
 
 
-def judged_rows(calibration: Calibration) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Return the header and the rows of the figures on training and held-out lines."""
-    if calibration.search is None:
-        return (), []
-    rows = [
-        (judged.name, *side)
-        for judged in calibration.search.judged
-        for side in (("training", judged.training), ("held-out", judged.held_out))
-    ]
-    names = list(dict.fromkeys(name for *_, values in rows for name in values))
-    cells = [
-        (
-            name,
-            side,
-            *("-" if (v := values.get(column)) is None else f"{v:.3f}" for column in names),
-        )
-        for name, side, values in rows
-    ]
-    return ("values", "lines", *(name.replace("_", " ") for name in names)), cells
-
-
 def curve_rows(calibration: Calibration) -> Iterator[tuple[str, str, str, str]]:
     """Yield threshold and shares over zeta_p, zeta_s and d_c (background), three per decade."""
     curves = calibration.curves
@@ -160,14 +130,6 @@ def as_markdown(calibration: Calibration) -> str:
         _table(("measured", ""), list(sensor_rows(calibration.sensor))),
     ]
     parts.append(_table(("key", "before", "value", "reason"), list(advice_rows(calibration))))
-    header, rows = judged_rows(calibration)
-    if header and calibration.search is not None:
-        parts.append(
-            f"{calibration.search.n_trials} trials on "
-            f"{calibration.search.n_training_shots:,} training shots; "
-            f"{calibration.search.n_held_out_shots:,} shots held out."
-        )
-        parts.append(_table(header, rows))
     parts.append(_table(CURVE_HEADER, list(curve_rows(calibration))))
     parts += [f"Note: {note}" for note in calibration.notes]
     parts += [f"Doubt: {_plain(doubt.sentence())}" for doubt in calibration.doubts]
