@@ -29,7 +29,6 @@ from prc_cli.core.files import atomic_output, open_to_read, prepare_outputs, who
 from prc_cli.core.window import Window, parse_window
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.html import as_html, check_picture
-from prc_cli.evaluation.latex import as_latex
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.reports import (
     NO_INTERVALS,
@@ -63,7 +62,7 @@ from prc_cli.matching.pairs import files_of
 
 MAX_PARTS = 40
 """Most parts of a split shown on a terminal."""
-FORMS = {".json": "json", ".csv": "csv", ".md": "markdown", ".tex": "latex", ".html": "html"}
+FORMS = {".json": "json", ".csv": "csv", ".md": "markdown", ".html": "html"}
 """Report formats by the suffix of ``--output``."""
 
 DEFAULTS = EvaluateOptions()
@@ -229,7 +228,7 @@ _OPTIONS = [
         show_default=True,
         help="Scan lines per block of the jackknife.",
     ),
-    *form_options("table", "json", "csv", "markdown", "latex", "html"),
+    *form_options("table", "json", "csv", "markdown", "html"),
     click.option(
         "-o",
         "--output",
@@ -237,7 +236,7 @@ _OPTIONS = [
         multiple=True,
         type=WRITTEN,
         metavar="FILE",
-        help="Also write the result to FILE: .json, .csv, .md, .tex or .html. Can be repeated.",
+        help="Also write the result to FILE: .json, .csv, .md or .html. Can be repeated.",
     ),
     click.option("--overwrite", is_flag=True, help="Replace files that exist."),
     click.option(
@@ -356,8 +355,8 @@ def _text(
             pictures=pictures,
             origin=origin([Path(name) for name in evaluation.predicted]),
         )
-    if form in ("csv", "latex"):
-        return as_csv(evaluation) if form == "csv" else as_latex(evaluation)
+    if form == "csv":
+        return as_csv(evaluation)
     return as_json(evaluation, gates) + "\n" if form == "json" else as_markdown(evaluation, gates)
 
 

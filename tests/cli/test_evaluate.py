@@ -58,7 +58,7 @@ def save(
         (
             ["--output", "report.pdf"],
             2,
-            "report.pdf: found the suffix '.pdf', expected one of: .json .csv .md .tex",
+            "report.pdf: found the suffix '.pdf', expected one of: .json .csv .md .html",
         ),
         (["--output", "none/report.md"], 1, "none: output folder does not exist"),
         (["--output", "r.md", "--output", "r.md"], 2, "r.md: found one output twice"),

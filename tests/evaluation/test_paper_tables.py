@@ -13,7 +13,6 @@ import pytest
 
 from prc_cli.evaluation.confusion import ConfusionMatrix, accumulate
 from prc_cli.evaluation.html import as_html
-from prc_cli.evaluation.latex import as_latex
 from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.evaluation.reports import as_json, as_markdown
 from prc_cli.evaluation.scores import gate_value, scores
@@ -134,7 +133,6 @@ def test_table_1_scores(gate: str, printed: float, digits: int) -> None:
 def test_every_report_tells_the_same_figures(matrix: ConfusionMatrix) -> None:
     matrix_scores = scores(matrix)
     markdown = as_markdown(matrix)
-    latex = as_latex(matrix)
     page = as_html(matrix)
     table = json.loads(as_json(matrix))
     assert table["confusion"]["counts"] == matrix.counts.tolist()
@@ -142,11 +140,10 @@ def test_every_report_tells_the_same_figures(matrix: ConfusionMatrix) -> None:
         for score in ("recall", "precision", "f1", "iou", "accuracy"):
             value = f"{getattr(item, score):.3f}"
             assert f"{table['classes'][item.name][score]:.3f}" == value
-            assert all(value in text for text in (markdown, latex, page))
+            assert all(value in text for text in (markdown, page))
     for count in matrix.counts.ravel().tolist():
         assert str(count) in markdown
         assert f"{count:,}" in page
-        assert f"{count:,}".replace(",", "\\,") in latex
 
 
 def test_scikit_learn_reads_the_papers_the_same_way() -> None:

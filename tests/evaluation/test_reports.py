@@ -1,14 +1,12 @@
-"""Reports as text, LaTeX and HTML."""
+"""Reports as text and HTML."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
-import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,11 +16,9 @@ from hypothesis import strategies as st
 from prc_cli.core.errors import InputError
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.html import Curve, as_html, line_chart
-from prc_cli.evaluation.latex import as_latex, escape
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.reports import as_csv, as_dict, as_json, as_markdown, doubts
 from prc_cli.evaluation.scores import OVERALL_SCORES, Evaluation, Gate, check_gates, scores
-from tests import patience
 from tests.evaluation import samples
 
 MATRIX = ConfusionMatrix(
@@ -83,46 +79,6 @@ def test_agreement_of_chance_is_told() -> None:
     for few_or_alike in ([[5000, 0], [0, 0]], [[5, 5], [5, 5]]):
         matrix = ConfusionMatrix(("a", "b"), ("a", "b"), np.array(few_or_alike))
         assert doubts(replace(shuffled, matrix=matrix)) == ()
-
-
-NASTY = '50%_a&b {x} $y$ #1 ^~\\end{table} <|>"\n%.npy'
-
-
-def test_every_row_has_as_many_cells_as_its_table_columns() -> None:
-    text = as_latex(samples.evaluation(part=NASTY))
-    for columns, body in re.findall(
-        r"\\begin\{tabular\}\{(\w+)\}\n(.*?)\\end\{tabular\}", text, re.DOTALL
-    ):
-        rows = [line for line in body.splitlines() if line.endswith(r"\\")]
-        assert rows
-        assert {len(re.findall(r"(?<!\\)&", row)) + 1 for row in rows} == {len(columns)}
-
-
-def test_nothing_of_a_user_is_a_command() -> None:
-    shown = escape(NASTY)
-    assert "\n" not in shown
-    assert r"\end{table}" not in shown
-    assert not re.search(r"(?<!\\)[%$&#_^~]", shown.replace("{}", ""))
-
-
-@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="no pdflatex here")
-def test_latex_takes_the_tables(tmp_path: Path) -> None:
-    evaluation = samples.evaluation(predicted=NASTY, mapping="a_b#%.toml", part=NASTY)
-    document = (
-        "\\documentclass{article}\n\\usepackage[T1]{fontenc}\n"
-        "\\usepackage{booktabs}\n\\begin{document}\n"
-        f"{as_latex(evaluation)}\\end{{document}}\n"
-    )
-    (tmp_path / "page.tex").write_text(document, encoding="utf-8")
-    command = [
-        "pdflatex",
-        "-interaction=nonstopmode",
-        "-halt-on-error",
-        "-no-shell-escape",
-        "page.tex",
-    ]
-    result = patience.run(command, cwd=tmp_path, capture_output=True, text=True)
-    assert result.returncode == 0, result.stdout[-2000:]
 
 
 VOID = {"meta", "input", "img", "br", "link"}

@@ -296,7 +296,7 @@ TARGETS: dict[str, Target] = {
                 "--format",
                 form,
             )
-            for form in ("table", "csv", "markdown", "latex", "html", "json")
+            for form in ("table", "csv", "markdown", "html", "json")
         ),
     ),
     "simulate": Target(
