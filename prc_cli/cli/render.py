@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -32,7 +31,6 @@ from prc_cli.jobs.render import render as render_file
     metavar="A,B,...",
     help="Pictures to draw, e.g. range,support,classes. Default: prc chooses.",
 )
-@click.option("--block", type=int, metavar="N", help="Draw only block N of PRC, counted from 0.")
 @click.option("--only-lines", metavar="A:B", help="Draw only lines A to B - 1, counted from 0.")
 @click.option(
     "--figure1",
@@ -63,15 +61,7 @@ from prc_cli.jobs.render import render as render_file
     type=click.Choice(VIEWS),
     default="scan",
     show_default=True,
-    help="Draw lines and columns, or the points from above or in perspective.",
-)
-@click.option(
-    "--from",
-    "eye",
-    metavar="AZIMUTH,ELEVATION",
-    help="View point of the perspective [deg], azimuth clockwise from north.  [default: "
-    "the azimuth with "
-    "the fullest picture, 30]",
+    help="Draw lines and columns, or the points from above.",
 )
 @click.option("--hide", metavar="CLASS,...", help="Do not draw these classes, e.g. noise.")
 @click.option("--colour", type=click.Choice(COLOURS), help="Colours of the points.")
@@ -81,20 +71,6 @@ from prc_cli.jobs.render import render as render_file
     default=2200,
     show_default=True,
     help="Largest width of a picture [pixels].",
-)
-@click.option(
-    "--height",
-    type=click.IntRange(200, 60_000),
-    default=6000,
-    show_default=True,
-    help="Largest height of a page [pixels].",
-)
-@click.option(
-    "--pages",
-    type=click.IntRange(1, 100),
-    default=1,
-    show_default=True,
-    help="Largest number of pages. Lines that do not fit are thinned.",
 )
 @click.option(
     "--shots",
@@ -123,20 +99,19 @@ def render(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Draw IN into OUT (.png or .html), or into a page to turn, zoom and click (--html).
+    """Draw IN into OUT.png, or into a page to turn, zoom and click (--html).
 
-    prc draws ranges, the steps of the method, classes and differences to a reference, or the points
-    from above or in perspective.
+    prc draws ranges, the steps of PRC, classes and differences to a reference, or the points from
+    above.
 
     \b
     Examples:
       prc render drive.laz drive.png --preset urban
       prc render out.laz --html out.html
-      prc render drive.laz block.png --preset urban --block 12
-      prc render drive.laz figure1.html --preset urban --figure1
+      prc render drive.laz figure1.png --preset urban --figure1
       prc render drive.laz differences.png --labels out.laz --reference car.laz \\
         --steps classes,reference,difference
-      prc render out.laz cloud.png --view perspective --from 215,30
+      prc render out.laz cloud.png --view top
     """
     chosen = _render_options(options)
     if (output is None) == (html is None):
@@ -144,7 +119,7 @@ def render(
         raise ConfigError(
             "OUT" if html is None else "--html",
             problem,
-            "give OUT.png, OUT.html or --html PAGE.html",
+            "give OUT.png or --html PAGE.html",
         )
     loaded = config_from(options)
     with line_progress(source.name, quiet=quiet) as progress:
@@ -171,7 +146,6 @@ def render(
 
 _AS_GIVEN = (
     "view",
-    "block",
     "figure1",
     "station",
     "labels",
@@ -181,23 +155,18 @@ _AS_GIVEN = (
     "mapping",
     "colour",
     "width",
-    "height",
-    "pages",
     "shots",
 )
 """Options of the command that :class:`RenderOptions` has under the same name."""
 
 
 def _render_options(options: dict[str, Any]) -> RenderOptions:
-    azimuth_deg, elevation_deg = (None, 30.0) if options["eye"] is None else _eye(options["eye"])
     steps = options["steps"]
     lines = options["only_lines"]
     return RenderOptions(
         steps=None if steps is None else _names(steps),
         hide=_names(options["hide"] or ""),
         lines=None if lines is None else _span(lines),
-        azimuth_deg=azimuth_deg,
-        elevation_deg=elevation_deg,
         line_spacing_m=options["line_spacing"],
         **{name: options[name] for name in _AS_GIVEN},
     )
@@ -214,14 +183,3 @@ def _span(text: str) -> tuple[int, int]:
             "--only-lines", f"found {text!r}, expected A:B, two line numbers such as 200:300"
         )
     return int(first), int(stop)
-
-
-def _eye(text: str) -> tuple[float, float]:
-    try:
-        azimuth, elevation = (float(part) for part in text.split(","))
-    except ValueError:
-        azimuth = elevation = math.nan
-    if not (math.isfinite(azimuth) and -90 <= elevation <= 90):
-        problem = f"found {text!r}, expected AZIMUTH,ELEVATION in degrees, elevation from -90 to 90"
-        raise ConfigError("--from", problem)
-    return azimuth, elevation

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,20 +147,6 @@ def fullest_azimuth(
     return USUAL_DEG
 
 
-class Camera(Protocol):
-    """Projection of points into a picture."""
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height of the picture [pixels]."""
-
-    def project(self, xyz: F64) -> Projection:
-        """Return where points (n, 3) float64 [m] are in the picture."""
-
-    def relief(self, depth: F64) -> F64:
-        """Return depths on the scale on which steps are shaded."""
-
-
 @dataclass(frozen=True, slots=True)
 class FromAbove:
     """A view straight down, to scale, north (+y) at the top."""
@@ -208,7 +194,7 @@ class FromAbove:
 
 @dataclass(frozen=True, slots=True)
 class Perspective:
-    """A view with a vanishing point."""
+    """A view with a vanishing point, as in a page to look around in."""
 
     eye: F64
     """(3,) float64 [m]."""
@@ -285,15 +271,11 @@ class Perspective:
             depth=depth,
         )
 
-    def relief(self, depth: F64) -> F64:
-        """Return depths on the scale on which steps are shaded: doublings of the distance."""
-        return np.asarray(np.log2(np.maximum(depth, 1e-6)))
-
 
 class DepthBuffer:
     """A picture of points with depth test."""
 
-    def __init__(self, camera: Camera, splat: int = 1) -> None:
+    def __init__(self, camera: FromAbove, splat: int = 1) -> None:
         self._camera = camera
         self._splat = splat
         self._size = camera.size

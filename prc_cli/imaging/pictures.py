@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.classes import LABEL_COLOURS, Label, TriggerSide
+from prc_cli.core.classes import LABEL_COLOURS, Label
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, U8, Mask
 
@@ -236,11 +236,6 @@ def _bytes(rgb: F64) -> U8:
 
 NEVER_COLOUR = LABEL_COLOURS[Label.NOISE]
 """Colour of shots that no threshold supports."""
-TRIGGER_COLOUR = (30, 20, 10)
-PALE = 0.6
-"""Share of white mixed into the classes behind triggers."""
-TRIGGER_CELLS = 2
-"""Cells by which the mark of a trigger reaches beyond it along the line, so that it is seen."""
 
 
 def critical_picture(zeta_m: NDArray[np.floating], limits_m: Limits) -> U8:
@@ -254,61 +249,4 @@ def critical_picture(zeta_m: NDArray[np.floating], limits_m: Limits) -> U8:
     thresholds = np.clip(np.where(never, np.nan, zeta_m), low, high)
     picture = value_picture(np.log(thresholds), log_limits)
     picture[never] = NEVER_COLOUR
-    return picture
-
-
-def trigger_codes(labels: U8, trigger: U8) -> U8:
-    """Pack classes and sides of the trigger, (lines, M) uint8, for :func:`trigger_picture`."""
-    packed: U8 = (labels + np.uint8(len(Label)) * trigger).astype(np.uint8)
-    return packed
-
-
-def trigger_key() -> tuple[tuple[str, tuple[int, int, int]], ...]:
-    """Return the key of :func:`trigger_picture`.
-
-    >>> trigger_key()[0]
-    ('trigger', (30, 20, 10))
-    """
-    classes = (
-        ("dense vegetation T'", Label.VEGETATION),
-        ("H", Label.HORIZONTAL),
-        ("V", Label.VERTICAL),
-    )
-    labels = np.array([[label for _, label in classes]], np.uint8)
-    pale_colours = trigger_picture(labels)[0].tolist()
-    entries = [("trigger", TRIGGER_COLOUR)]
-    for (name, _), (red, green, blue) in zip(classes, pale_colours, strict=True):
-        entries.append((name, (red, green, blue)))
-    return tuple(entries)
-
-
-def trigger_picture(packed: U8) -> U8:
-    """Mark the triggers over pale classes; thinned images still show them.
-
-    ``packed`` (lines, M) uint8; returns (lines, M, 3) uint8.
-
-    A line that triggers at its third shot, although that shot is not among those drawn:
-
-    >>> sides = np.array([[1, 1, 1, 1, 1, 3, 3, 3, 3]], np.uint8)
-    >>> packed = trigger_codes(np.full((1, 9), 3, np.uint8), sides)
-    >>> (trigger_picture(packed)[0, :, 0] == TRIGGER_COLOUR[0]).astype(int)
-    array([0, 0, 0, 1, 1, 1, 1, 1, 0])
-    """
-    labels = packed % len(Label)
-    side = packed // len(Label)
-    colours = np.array([LABEL_COLOURS[label] for label in Label], np.uint8)
-    pale_colours = colours[labels] * (1.0 - PALE) + 255 * PALE
-    picture: U8 = np.rint(pale_colours).astype(np.uint8)
-    is_before = side == TriggerSide.BEFORE
-    has_triggered = side >= TriggerSide.AT
-    mark = side == TriggerSide.AT
-    # thinning may have dropped the shot of the trigger: then it is where a line goes from before
-    # the trigger to after it
-    mark[:, 1:] |= has_triggered[:, 1:] & is_before[:, :-1]
-    mark[:, :-1] |= has_triggered[:, :-1] & is_before[:, 1:]
-    wide = mark.copy()
-    for reach in range(1, TRIGGER_CELLS + 1):
-        wide[:, reach:] |= mark[:, :-reach]
-        wide[:, :-reach] |= mark[:, reach:]
-    picture[wide] = TRIGGER_COLOUR
     return picture

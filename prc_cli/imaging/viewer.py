@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import io
 import json
 import math
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib import resources
 from typing import Any
@@ -24,26 +23,6 @@ from prc_cli.core.pages import render_page
 from prc_cli.core.types import F64, U8
 from prc_cli.imaging.cloud import Box, bounds, fullest_azimuth
 from prc_cli.imaging.pictures import Limits, colour_map, range_limits, value_limits
-from prc_cli.imaging.sheet import Key, Panel, draw_panel
-
-
-def html_page(
-    title: str,
-    head: str,
-    sections: Iterable[tuple[str, Sequence[Panel]]],
-    key: Key,
-    foot: str,
-) -> str:
-    """Return an HTML page of pictures with captions under headings, without external files."""
-
-    def png_text(panel: Panel) -> str:
-        buffer = io.BytesIO()
-        draw_panel(panel, with_title=False).save(buffer, format="PNG", optimize=False)
-        return base64.b64encode(buffer.getvalue()).decode("ascii")
-
-    values = {"title": title, "head": head, "sections": sections, "key": key, "foot": foot}
-    return render_page("prc_cli.imaging", "pictures.html", values, {"png": png_text})
-
 
 _ROOM = 0.5
 """Room around the framed box within which points are kept, as a share of its longest side."""

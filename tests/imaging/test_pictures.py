@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import io
 import json
 import math
 import re
@@ -18,14 +17,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, U8
 from prc_cli.imaging.cloud import NARROWEST, DepthBuffer, FromAbove, Perspective, Sample
 from prc_cli.imaging.pictures import segment_picture
 from prc_cli.imaging.sheet import Axis, Panel, draw_panel, draw_sheet, zoom_for
-from prc_cli.imaging.viewer import ClassEntry, Shots, Values, html_page, viewer_page
+from prc_cli.imaging.viewer import ClassEntry, Shots, Values, viewer_page
 from tests.browser import chromium
 
 
@@ -83,22 +81,6 @@ def test_what_is_no_picture(picture: U8, expected: str) -> None:
         draw_panel(Panel("grey", picture, Axis("", 0, 1), Axis("", 0, 1)))
     with pytest.raises(InputError, match="pictures: found none, expected at least one"):
         draw_sheet("", [])
-
-
-def test_a_page_holds_its_pictures_and_quotes_what_it_is_told() -> None:
-    picture = panel(plain(10, 30, 77), "<b>title", caption="a & b")
-    page = html_page(
-        "<script>", "head", [("", [picture]), ("more", [picture])], (("x<y", (1, 2, 3)),), "foot"
-    )
-    assert "<script>" not in page
-    assert "&lt;b&gt;title" in page
-    assert "a &amp; b" in page
-    assert "x&lt;y" in page
-    assert not re.search(r"(src|href)=[\"'](?!data:)", page)
-    data = re.findall(r"data:image/png;base64,([A-Za-z0-9+/=]+)", page)
-    assert len(data) == 2
-    with Image.open(io.BytesIO(base64.b64decode(data[0]))) as image:
-        assert (np.asarray(image) == 77).all(axis=2).sum() >= 300
 
 
 def box(n: int = 4000, seed: int = 1) -> F64:

@@ -82,16 +82,15 @@ def test_the_whole_drive_shows_every_class_where_it_is(
     drive: Path, urban: LoadedConfig, tmp_path: Path
 ) -> None:
     drawing = draw_scan(Input.of(drive), urban, RenderOptions(steps=("range", "classes")), tmp_path)
-    (strip,) = drawing.strips
+    panels = drawing.panels
     labels = labels_of(drive, urban)
     colours = np.array([LABEL_COLOURS[label] for label in Label], np.uint8)
-    assert np.array_equal(strip[1].picture, colours[labels])
+    assert np.array_equal(panels[1].picture, colours[labels])
     assert drawing.counts == {
         label.name.lower(): n for label in Label if (n := int((labels == label).sum()))
     }
     assert drawing.thinned_by == (1, 1)
-    shares = {text.split()[0]: text for text, _ in strip[1].key}
-    assert not drawing.key
+    shares = {text.split()[0]: text for text, _ in panels[1].key}
     seen = labels[labels != Label.MISSING]
     assert shares["ground"] == f"ground {100 * (seen == Label.GROUND).mean():.1f} %"
     assert shares["no"].startswith("no return")
@@ -115,7 +114,7 @@ def test_returns_that_are_not_scored_are_not_drawn_as_missing(
         mapping=tmp_path / "m.toml",
         steps=("classes", "reference", "difference"),
     )
-    classes, reference, difference = draw_scan(Input.of(drive), urban, chosen, tmp_path).strips[0]
+    classes, reference, difference = draw_scan(Input.of(drive), urban, chosen, tmp_path).panels
     assert (classes.picture == LABEL_COLOURS[Label.BUILDING]).all()
     for panel in (reference, difference):
         marked = (panel.picture == NOT_SCORED_COLOUR).all(axis=2)
@@ -137,12 +136,6 @@ def test_the_headline_names_the_scanner_of_several(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("preset", "options", "expected"),
     [
-        ("urban", {"block": 0, "lines": (0, 5)}, "--block: given together with --only-lines"),
-        (
-            "street-scan",
-            {"block": 0},
-            "--block: the sequential-angle method has no blocks; give --only-lines A:B",
-        ),
         (
             "street-scan",
             {"figure1": True},
@@ -152,8 +145,8 @@ def test_the_headline_names_the_scanner_of_several(tmp_path: Path) -> None:
         ("urban", {"steps": ("intensity",)}, "--steps: found 'intensity', but the input has none"),
         (
             "urban",
-            {"view": "top", "block": 0},
-            "--block: belongs to the scan view, found --view top",
+            {"view": "top", "lines": (0, 5)},
+            "--only-lines: belongs to the scan view, found --view top",
         ),
     ],
 )
@@ -191,22 +184,19 @@ def test_labels_of_another_length(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("view", ["top", "perspective"])
 @pytest.mark.parametrize("colour", [None, "class", "height", "range"])
 def test_clouds_of_static_scans(
     static: tuple[Path, Path],
     tmp_path: Path,
-    view: str,
     colour: str | None,
 ) -> None:
-    chosen = RenderOptions(view=view, colour=colour, width=600, height=600)  # type: ignore[arg-type]
+    chosen = RenderOptions(view="top", colour=colour, width=600)  # type: ignore[arg-type]
     result = render(static[0], tmp_path / "a.png", load_config(preset="street-scan"), chosen)
     picture = pixels(tmp_path / "a.png")
     assert max(picture.shape) <= 1100
     assert result.n_points > 3000
     assert ("by class" in result.drawn) == (colour in (None, "class"))
-    if view == "top":
-        assert has(picture, Label.GROUND) == (colour in (None, "class"))
+    assert has(picture, Label.GROUND) == (colour in (None, "class"))
 
 
 @pytest.mark.parametrize(("n", "end"), [(8, "207"), (9, "207, ...")])

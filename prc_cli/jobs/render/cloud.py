@@ -1,8 +1,7 @@
-"""Point clouds from above and in perspective, in the sensor's frame or as registered."""
+"""Point clouds from above, in the sensor's frame or as registered."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,12 +14,9 @@ from prc_cli.core.types import F64, I64, U8
 from prc_cli.formats.input import Input
 from prc_cli.formats.records import Source
 from prc_cli.imaging.cloud import (
-    Camera,
     DepthBuffer,
     FromAbove,
-    Perspective,
     Sample,
-    fullest_azimuth,
     splat_for,
 )
 from prc_cli.imaging.pictures import Bar, Limits
@@ -44,8 +40,7 @@ AXES = ("x", "y", "z")
 NO_CLASSES = (0, 1)
 """Class codes of an unclassified LAS file."""
 POINTS_AT_ONCE = 1 << 20
-HIGHEST_PERSPECTIVE = 0.75
-HIGHEST_FROM_ABOVE = 1.5
+MOST_HEIGHT = 1.5
 """Largest height of a picture, relative to its largest width."""
 _HINT = "draw the scan (leave --view out), or give a file that has x, y, z"
 _VALUES = ("range", "intensity", "confidence")
@@ -165,7 +160,7 @@ def draw_cloud(
         classes = _classes(cloud, options, words, folder, progress, has_classes=has_classes)
         classes.check(None if cloud.records is None else cloud.records.n_records)
     framed = _framed(kept, classes, words)
-    camera = _camera(framed, options)
+    camera = FromAbove.around(framed, options.width, round(MOST_HEIGHT * options.width))
     limits = _limits(colour, kept, scan)
     width, height = camera.size
     buffer = DepthBuffer(camera, splat_for(sample.n_seen, width * height))
@@ -187,7 +182,7 @@ def draw_cloud(
     head = heading(
         scan.name,
         _labelled(cloud, options, colour, folder, has_classes=has_classes),
-        _seen_from(camera),
+        "from above",
         f"{sample.n_seen - n_hidden:,} points by {colour}",
         f"without {', '.join(options.hide)}" if options.hide else "",
     )
@@ -221,7 +216,6 @@ def draw_cloud(
 def _check_options(options: RenderOptions) -> None:
     for name, value in (
         ("--steps", options.steps),
-        ("--block", options.block),
         ("--only-lines", options.lines),
         ("--figure1", options.figure1 or None),
     ):
@@ -305,28 +299,6 @@ def _framed(kept: F64, classes: RecordClasses | None, words: Vocabulary) -> F64:
     return kept[inside, :3] if inside.any() else kept[:, :3]
 
 
-def _camera(framed: F64, options: RenderOptions) -> Camera:
-    width = options.width
-    if options.view == "top":
-        return FromAbove.around(
-            framed, width, min(options.height, round(HIGHEST_FROM_ABOVE * width))
-        )
-    height = min(options.height, round(HIGHEST_PERSPECTIVE * width))
-    azimuth_deg = options.azimuth_deg
-    if azimuth_deg is None:
-        azimuth_deg = fullest_azimuth(framed, options.elevation_deg, width, height)
-    return Perspective.around(framed, azimuth_deg, options.elevation_deg, width, height)
-
-
-def _seen_from(camera: Camera) -> str:
-    if not isinstance(camera, Perspective):
-        return "from above"
-    back = -camera.axes[2]
-    azimuth = math.degrees(math.atan2(-camera.axes[0, 1], camera.axes[0, 0])) + 180.0
-    up = math.degrees(math.asin(back[2]))
-    return f"from azimuth {round(azimuth, 3) % 360:g}°, {round(up, 3):g}° up"
-
-
 def _limits(colour: ColourBy, sample: F64, scan: Input) -> Limits:
     if colour == "class":
         return Limits(0.0, 1.0)
@@ -364,31 +336,20 @@ def _add(
 
 def _panel(
     picture: U8,
-    camera: Camera,
+    camera: FromAbove,
     bar: Bar | None,
     colour: ColourBy,
 ) -> Panel:
-    # axes for a view from above, none for a perspective
+    metres = camera.metres
+    (width, height) = camera.size
+    x = Axis("x [m]", camera.left, camera.left + width * metres, cells=False)
+    y = Axis("y [m]", camera.top, camera.top - height * metres, cells=False)
+    length_m = round_step(width * metres / 8)
+    _draw_scale(picture, max(1, round(length_m / metres)))
+    pixel = f"{metres:.3g} m" if metres >= 1 else f"{100 * metres:.3g} cm"
+    note = f"scale bar {length_m:g} m, 1 pixel = {pixel}"
     caption = f"Points coloured by {colour}; steps in depth are shaded."
-    if isinstance(camera, FromAbove):
-        metres = camera.metres
-        (width, height) = camera.size
-        x = Axis("x [m]", camera.left, camera.left + width * metres, cells=False)
-        y = Axis("y [m]", camera.top, camera.top - height * metres, cells=False)
-        length = round_step(width * metres / 8)
-        _draw_scale(picture, max(1, round(length / metres)))
-        pixel = f"{metres:.3g} m" if metres >= 1 else f"{100 * metres:.3g} cm"
-        return Panel(
-            "from above",
-            picture,
-            x,
-            y,
-            f"scale bar {length:g} m, 1 pixel = {pixel}",
-            bar,
-            (),
-            caption,
-        )
-    return Panel("perspective", picture, Axis("", 0, 0), Axis("", 0, 0), "", bar, (), caption)
+    return Panel("from above", picture, x, y, note, bar, (), caption)
 
 
 def _draw_scale(picture: U8, length: int) -> None:

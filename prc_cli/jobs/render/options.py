@@ -9,11 +9,11 @@ from typing import Literal, TypeAlias
 from prc_cli.core.brief import Brief
 from prc_cli.core.errors import ConfigError
 
-View: TypeAlias = Literal["scan", "top", "perspective"]
-VIEWS: tuple[View, ...] = ("scan", "top", "perspective")
+View: TypeAlias = Literal["scan", "top"]
+VIEWS: tuple[View, ...] = ("scan", "top")
 ColourBy: TypeAlias = Literal["class", "range", "height", "intensity", "confidence"]
 COLOURS: tuple[ColourBy, ...] = ("class", "range", "height", "intensity", "confidence")
-SUFFIXES = (".png", ".html")
+SUFFIX = ".png"
 
 PRC_STEPS = (
     "support",
@@ -24,7 +24,6 @@ PRC_STEPS = (
     "surfaces",
     "segmentation",
 )
-SEQUENTIAL_STEPS = ("coarse", "dense", "ground", "triggers", "dividers", "tests")
 FIGURE_1 = ("range", *(step for step in PRC_STEPS if step != "critical"), "classes")
 """The paper's Fig. 1 (Lehtola et al. 2019)."""
 
@@ -69,36 +68,6 @@ CAPTIONS: dict[str, tuple[str, str]] = {
         "H and V together (Lehtola et al. 2019, II-E): every supported shot with its final "
         "segment. A colour a segment; black: noise, or no return.",
     ),
-    "coarse": (
-        "coarse classes T, H, V",
-        "Vegetation, horizontal and vertical of the first stage (Stamos et al. 2012, sec. 4).",
-    ),
-    "dense": (
-        "dense vegetation T' (green)",
-        "Vegetation of the less sensitive test, from which the car stage starts (Stamos et al. "
-        "2012, sec. 7.1).",
-    ),
-    "ground": (
-        "height of the ground",
-        "Height of the ground that was tracked at every line, relative to the scanner (Stamos et "
-        "al. 2012, sec. 5); white: unknown, or no return.",
-    ),
-    "triggers": (
-        "triggers (dark) on T', H, V",
-        "Where the test for suspicious lines fires (Stamos et al. 2012, sec. 7.2 and Fig. 3), "
-        "over the classes of the car stages, which are paler. A line without a mark is not "
-        "searched for cars.",
-    ),
-    "dividers": (
-        "intervals between dividers",
-        "Intervals that may be cars, in two colours in turn (Stamos et al. 2012, sec. 7.3 and "
-        "Fig. 4), before anything is taken out of them.",
-    ),
-    "tests": (
-        "what became of the intervals",
-        "Which test took a shot of an interval out of it, or the car that is left (Stamos et al. "
-        "2012, sec. 7.3 to 8; Fig. 4, bottom).",
-    ),
     "classes": ("classes", "The class of every shot."),
     "confidence": (
         "confidence",
@@ -114,7 +83,7 @@ CAPTIONS: dict[str, tuple[str, str]] = {
 }
 """Title and caption of every step."""
 
-ON_REQUEST = ("intensity", "confidence", "critical", "dense", "triggers", "dividers", "tests")
+ON_REQUEST = ("intensity", "confidence", "critical")
 """Steps that are drawn only where they are named."""
 REFERENCE_STEPS = ("reference", "difference")
 
@@ -124,11 +93,9 @@ class RenderOptions:
     """Contents and size of a picture."""
 
     view: View = "scan"
-    """``scan``: lines and columns; ``top``, ``perspective``: the points in space."""
+    """``scan``: lines and columns; ``top``: the points from above."""
     steps: tuple[str, ...] | None = None
     """Pictures of the scan view, from top to bottom; None = chosen by the part drawn."""
-    block: int | None = None
-    """Block of PRC, from 0; None = the whole drive."""
     lines: tuple[int, int] | None = None
     """First line, and last line + 1, from 0."""
     figure1: bool = False
@@ -147,18 +114,8 @@ class RenderOptions:
     """Value that colours a cloud; None = class if available, else height."""
     hide: tuple[str, ...] = ()
     """Names of classes that are not drawn."""
-    azimuth_deg: float | None = None
-    """Azimuth of the viewpoint, clockwise from north (+y), seen from the points [deg].
-
-    None = the side from which the points fill the picture best."""
-    elevation_deg: float = 30.0
-    """Elevation of the viewpoint, seen from the points [deg]."""
     width: int = 2200
     """Widest picture without frame [pixels]."""
-    height: int = 6000
-    """Highest page [pixels]."""
-    pages: int = 1
-    """Most pages; longer scans are thinned."""
     shots: int = 1_500_000
     """Most shots of a viewer page; of longer scans every n-th line and column is kept."""
     line_spacing_m: float | None = None
@@ -181,7 +138,7 @@ class RenderResult(Brief):
 
     files: tuple[Path, ...]
     size: tuple[int, int]
-    """Width and height of the first page [pixels]."""
+    """Width and height of the picture [pixels]."""
     drawn: str
     """Headline of the picture."""
     steps: tuple[str, ...] = ()
@@ -207,7 +164,7 @@ def choose_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
     ('range', 'classes')
     """
     steps_of_method = {
-        "sequential-angle": (*SEQUENTIAL_STEPS, "classes"),
+        "sequential-angle": ("classes",),
         "fused": ("classes", "confidence"),
         "rings": ("classes",),
     }
@@ -221,9 +178,7 @@ def choose_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
     possible = ("range", "intensity", *steps, *of_reference)
     chosen = FIGURE_1 if options.figure1 else options.steps
     if chosen is None:
-        is_whole_drive = (
-            options.block is None and options.lines is None and method != "sequential-angle"
-        )
+        is_whole_drive = options.lines is None
         chosen = tuple(step for step in possible if step not in ON_REQUEST)
         if is_whole_drive:
             chosen = ("range", "classes", *of_reference)

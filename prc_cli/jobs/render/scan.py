@@ -1,4 +1,4 @@
-"""Scan pictures of lines and columns: a block as in the paper, a static scan, a drive in strips."""
+"""Scan pictures of lines and columns: a block as in the paper, a static scan, a drive."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.config import LoadedConfig
 from prc_cli.core.blocks import regroup
-from prc_cli.core.classes import LABEL_COLOURS, LABEL_OF_SURFACE, Label
+from prc_cli.core.classes import LABEL_COLOURS, Label
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StageLabels
-from prc_cli.core.types import F64, I64, U8, Mask
+from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream
+from prc_cli.core.types import F64, I64, U8
 from prc_cli.evaluation.mapping import Side
 from prc_cli.formats.input import Input
 from prc_cli.imaging.pictures import (
@@ -26,16 +26,12 @@ from prc_cli.imaging.pictures import (
     difference_picture,
     mask_picture,
     segment_picture,
-    trigger_codes,
-    trigger_key,
-    trigger_picture,
 )
 from prc_cli.imaging.sheet import FRAME_HEIGHT, Axis, Key, Panel, zoom_for
 from prc_cli.jobs.classify import label_blocks, open_for_method
 from prc_cli.jobs.progress import advance
 from prc_cli.jobs.render.colours import (
     LABEL_TABLE,
-    NOT_SCORED,
     SCALES,
     ClassTable,
     RecordClasses,
@@ -70,52 +66,15 @@ LEAST_TURN_RAD = 1e-4
 """Smallest azimuth step between lines that counts as a rotation [rad]."""
 SEGMENT_COLOURS = 1 << 30
 """Segment ids are drawn modulo this number."""
-STRIP_HEIGHT = 380
-PANEL_HEIGHT = 800
+DRIVE_HEIGHT = 800
 UPRIGHT_HEIGHT = 1100
-"""Highest picture: a strip of a folded drive, an unfolded drive, an upright scan [pixels]."""
-FOLD_FROM = 2
-"""Drives of more picture widths are folded into strips, unless the scanner turns."""
-PAGE_ROOM = 140
-"""Space for headline and key of a page [pixels]."""
+BLOCK_HEIGHT = 5860
+"""Highest picture of a drive, of an upright scan, and of all steps of a block [pixels]."""
 NOT_LABELLED = {"range", "intensity", "reference"}
 """Steps that need no classifier."""
 _NO_RETURN = "no return"
 _AGREE = "both agree"
 _PALE = (226, 226, 226)
-
-INTERVALS = ClassTable(
-    (_NO_RETURN, "in no interval", "odd interval", "even interval"),
-    np.array([(255, 255, 255), _PALE, (213, 94, 0), (0, 114, 178)], np.uint8),
-)
-"""Intervals between dividers in turn, as in the paper's Fig. 4; 0 = missing."""
-TESTS = ClassTable(
-    (
-        _NO_RETURN,
-        "in no interval",
-        "tall vertical, cut out",
-        "vegetation by its spectrum",
-        "behind a high vertical",
-        "next to the ground",
-        "behind a curb",
-        "car",
-    ),
-    np.array(
-        [
-            (255, 255, 255),
-            _PALE,
-            LABEL_COLOURS[Label.VERTICAL],
-            LABEL_COLOURS[Label.VEGETATION],
-            (106, 61, 154),
-            LABEL_COLOURS[Label.HORIZONTAL],
-            LABEL_COLOURS[Label.CURB],
-            LABEL_COLOURS[Label.CAR],
-        ],
-        np.uint8,
-    ),
-)
-"""Results of the tests of intervals: :class:`~prc_cli.core.classes.CarTest` + 1, 0 = missing."""
-STAGE_TABLES = {"coarse": LABEL_TABLE, "dense": LABEL_TABLE, "dividers": INTERVALS, "tests": TESTS}
 
 
 def open_for_pictures(scan: Input, loaded: LoadedConfig) -> ScanStream:
@@ -213,19 +172,6 @@ _TRACED: Mapping[str, Callable[[PrcTrace], Plane]] = {
     "surfaces": lambda trace: _ids(trace.surfaces.to_patches()),
     "segmentation": lambda trace: _ids(trace.surfaces.to_segments()),
 }
-_SURFACES = np.array(LABEL_OF_SURFACE, np.uint8)
-_STAGES: Mapping[str, Callable[[StageLabels, Mask], Plane]] = {
-    "coarse": lambda stages, seen: _SURFACES[stages.surface],
-    "dense": lambda stages, seen: np.where(
-        stages.dense_vegetation, Label.VEGETATION, np.where(seen, Label.UNCLASSIFIED, Label.MISSING)
-    ).astype(np.uint8),
-    "ground": lambda stages, seen: np.where(seen, stages.ground_height_m, np.float32(np.nan)),
-    "triggers": lambda stages, seen: trigger_codes(_SURFACES[stages.car_surface], stages.trigger),
-    "dividers": lambda stages, seen: np.where(
-        seen, np.where(stages.car_interval == 0, 1, 3 - stages.car_interval % 2), 0
-    ).astype(np.uint8),
-    "tests": lambda stages, seen: np.where(seen, stages.car_test + np.uint8(1), 0).astype(np.uint8),
-}
 
 
 def _traced(
@@ -250,18 +196,13 @@ def _traced(
 def _labelled(
     blocks: Iterator[ScanBlock], params: MethodParams, steps: tuple[str, ...]
 ) -> Iterator[tuple[ScanBlock, Images]]:
-    for item in label_blocks(
-        blocks, params, wanted=Wanted(stages=True, confidence="confidence" in steps)
-    ):
+    for item in label_blocks(blocks, params, wanted=Wanted(confidence="confidence" in steps)):
         planes = {"classes": item.labels}
         seen = ~np.isnan(item.block.range_m)
-        stages = item.stages
         if item.confidence is not None:
             planes["confidence"] = np.where(
                 seen, item.confidence.astype(np.float32), np.float32(np.nan)
             )
-        if stages is not None:
-            planes |= {step: _STAGES[step](stages, seen) for step in steps if step in _STAGES}
         yield item.block, planes
 
 
@@ -294,12 +235,10 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """Pictures of a scan, before they are put on pages."""
+    """Pictures of a scan, before they are put on a page."""
 
-    strips: tuple[tuple[Panel, ...], ...]
-    """Pictures of every strip, from top to bottom."""
-    strips_per_page: int
-    key: Key
+    panels: tuple[Panel, ...]
+    """From top to bottom."""
     part: Part
     steps: tuple[str, ...]
     thinned_by: tuple[int, int]
@@ -312,14 +251,11 @@ class Drawing:
 class _Layout:
     """Arrangement of lines and columns on the page."""
 
-    kind: str
-    """``paper``: columns across, lines down. ``upright``: lines across, the sky at the top.
-    ``strips``: lines across, columns down, folded."""
+    kind: Literal["block", "upright", "drive"]
+    """``block``: columns across, lines down. ``upright``: lines across, the sky at the top.
+    ``drive``: lines across, columns down."""
     line_step: int
     column_step: int
-    strip: int
-    """Drawn lines of a strip."""
-    strips_per_page: int
 
 
 def draw_scan(
@@ -380,8 +316,6 @@ def draw_scan(
 
 
 def _check_part(method: str, options: RenderOptions) -> None:
-    if options.block is not None and options.lines is not None:
-        raise ConfigError("--block", "given together with --only-lines, expected one of them")
     if options.figure1 and method != "prc":
         raise ConfigError(
             "--figure1", f"belongs to prc, found the method {method}", "add --method prc"
@@ -389,8 +323,6 @@ def _check_part(method: str, options: RenderOptions) -> None:
     if options.figure1 and options.labels is not None:
         problem = "the figure shows the steps of prc, which a label file does not hold"
         raise ConfigError("--figure1", problem, "leave --labels out")
-    if options.block is not None and method != "prc":
-        raise ConfigError("--block", f"the {method} method has no blocks", "give --only-lines A:B")
 
 
 def choose_part(options: RenderOptions, loaded: LoadedConfig, stream: ScanStream) -> Part:
@@ -413,17 +345,10 @@ def choose_part(options: RenderOptions, loaded: LoadedConfig, stream: ScanStream
         if number < len(names):
             scanner += f": {names[number]}"
     k = loaded.config.prc.lines_per_block
-    n_blocks = -(-n_lines // k)
-    block = options.block
-    if options.figure1 and block is None and options.lines is None:
-        block = min(1, n_blocks - 1)
-    if block is not None:
-        if not 0 <= block < n_blocks:
-            problem = (
-                f"found {block}, expected 0 to {n_blocks - 1}: {n_lines:,} lines in blocks of {k}"
-            )
-            raise ConfigError("--block", problem)
-        return Part(block * k, min((block + 1) * k, n_lines), n_lines, scanner)
+    if options.figure1 and options.lines is None:
+        # the second block, or the only one
+        first = min(1, -(-n_lines // k) - 1) * k
+        return Part(first, min(first + k, n_lines), n_lines, scanner)
     if options.lines is not None:
         first, stop = options.lines
         if not 0 <= first < stop or first >= n_lines:
@@ -442,22 +367,12 @@ def _choose_layout(
     n = part.stop - part.first
     m = first.points_per_line
     width = options.width
-    # a rotating scan is one panorama; a long drive is folded into strips
-    panorama = n <= FOLD_FROM * width or turns(first) != 0
-    if upright(first.beam_rad) is not None and not options.figure1 and panorama:
-        return _Layout("upright", -(-n // width), -(-m // UPRIGHT_HEIGHT), n, 1)
-    if options.figure1 or options.block is not None or n <= m:
-        room = max(200, (options.height - PAGE_ROOM) // n_steps - FRAME_HEIGHT)
-        return _Layout("paper", -(-n // room), -(-m // width), n, 1)
-    height = PANEL_HEIGHT if n <= width else STRIP_HEIGHT
-    column_step = -(-m // height)
-    columns = -(-m // column_step)
-    high = columns * zoom_for(width, columns)[1]
-    per_page = max(1, (options.height - PAGE_ROOM) // (n_steps * (high + FRAME_HEIGHT)))
-    line_step = max(1, -(-n // (width * per_page * options.pages)))
-    drawn = -(-n // line_step)
-    n_strips = max(1, -(-drawn // width))
-    return _Layout("strips", line_step, column_step, -(-drawn // n_strips), per_page)
+    if upright(first.beam_rad) is not None and not options.figure1:
+        return _Layout("upright", -(-n // width), -(-m // UPRIGHT_HEIGHT))
+    if options.figure1 or n <= m:
+        height = max(200, BLOCK_HEIGHT // n_steps - FRAME_HEIGHT)
+        return _Layout("block", -(-n // height), -(-m // width))
+    return _Layout("drive", -(-n // width), -(-m // DRIVE_HEIGHT))
 
 
 def _add_sides(
@@ -498,7 +413,7 @@ class _Sheet:
     @property
     def tables(self) -> dict[str, ClassTable]:
         """Classes of pictures, by step."""
-        return {"classes": self.class_table, "reference": self.words.table, **STAGE_TABLES}
+        return {"classes": self.class_table, "reference": self.words.table}
 
     def keep(self, block: ScanBlock, planes: Images) -> None:
         """Count the shots of the part, and keep the lines and columns to draw."""
@@ -507,7 +422,7 @@ class _Sheet:
             return
         inside = {name: plane[low:high] for name, plane in planes.items()}
         size = max(len(self.words.table.names), len(Label))
-        for side in ("classes", "predicted", "reference", *STAGE_TABLES):
+        for side in ("classes", "predicted", "reference"):
             if side in inside:
                 self.counts[side] = np.bincount(
                     inside[side].ravel(), minlength=size
@@ -534,21 +449,12 @@ class _Sheet:
         planes = {name: np.concatenate(parts) for name, parts in self.kept.items()}
         scales = {step: SCALES[step].limits(planes[step]) for step in self.steps if step in SCALES}
         keys = self._keys()
-        is_folded = layout.kind == "strips"
-        strips = []
         n_drawn = len(next(iter(planes.values())))
-        for first in range(0, n_drawn, layout.strip):
-            stop = min(first + layout.strip, n_drawn)
-            lines = part.first + first * layout.line_step, part.first + stop * layout.line_step
-            panels = []
-            for step in self.steps:
-                picture, bar = self._paint(
-                    step, {name: plane[first:stop] for name, plane in planes.items()}, scales
-                )
-                panels.append(
-                    self._panel(step, picture, bar, () if is_folded else keys.get(step, ()), lines)
-                )
-            strips.append(tuple(panels))
+        lines = part.first, part.first + n_drawn * layout.line_step
+        panels = []
+        for step in self.steps:
+            picture, bar = self._paint(step, planes, scales)
+            panels.append(self._panel(step, picture, bar, keys.get(step, ()), lines))
         side, table = (
             ("classes", self.class_table)
             if "classes" in self.counts
@@ -556,9 +462,7 @@ class _Sheet:
         )
         counts = table.count_by_name(self.counts.get(side, np.zeros(len(table.names), np.int64)))
         return Drawing(
-            tuple(strips),
-            layout.strips_per_page,
-            self._shared_key(keys) if is_folded else (),
+            tuple(panels),
             part,
             self.steps,
             (layout.line_step, layout.column_step),
@@ -580,33 +484,11 @@ class _Sheet:
                 keys[step] += (
                     (f"{_NO_RETURN} ({share} of all shots)", LABEL_COLOURS[Label.MISSING]),
                 )
-        if "triggers" in self.kept:
-            keys["triggers"] = trigger_key()
         if "predicted" in self.counts and "reference" in self.counts:
             counts = self.counts["predicted"].copy()
             counts[self.words.unscored] += self.counts["reference"][self.words.unscored]
             keys["difference"] = ((_AGREE, AGREE_COLOUR), *_names(self.words.table, counts))
         return keys
-
-    def _shared_key(self, keys: dict[str, Key]) -> Key:
-        # one key for a sheet of strips, with shares only for a single picture
-        shown = [step for step in self.steps if step in keys]
-        if len(shown) == 1:
-            return keys[shown[0]]
-        entries: dict[Any, None] = {}
-        for step in shown:
-            table = self.tables.get(step)
-            key = (
-                keys[step]
-                if table is None
-                else _names(table, self.counts[step][: len(table.names)])
-            )
-            entries |= dict.fromkeys(key)
-        # entries that are not classes go last
-        last = (NOT_SCORED, _AGREE, _NO_RETURN)
-        return tuple(
-            sorted(entries, key=lambda entry: last.index(entry[0]) if entry[0] in last else -1)
-        )
 
     def _paint(
         self, step: str, planes: Images, scales: Mapping[str, Limits]
@@ -624,8 +506,6 @@ class _Sheet:
         if step in self.tables:
             picture: U8 = self.tables[step].shown[plane]
             return picture, None
-        if step == "triggers":
-            return trigger_picture(plane), None
         return (mask_picture if step in ("support", "background") else segment_picture)(plane), None
 
     def _panel(
@@ -648,10 +528,10 @@ class _Sheet:
         across = Axis("column", 0, m * layout.column_step)
         beam_rad = None if self.beam_rad is None else self.beam_rad[:: layout.column_step]
         order = upright(beam_rad)
-        if layout.kind == "paper":
+        if layout.kind == "block":
             return Panel(title, picture, across, along, note, bar, key, caption, zoom_for(m, n))
         if beam_rad is None or order is None:
-            zoom = zoom_for(layout.strip, m)
+            zoom = zoom_for(n, m)
             return Panel(
                 title, picture.swapaxes(0, 1), along, across, note, bar, key, caption, zoom
             )
@@ -669,7 +549,7 @@ class _Sheet:
             bar,
             key,
             caption,
-            _upright_zoom(layout.strip, m, self._shape()),
+            _upright_zoom(n, m, self._shape()),
         )
 
     def _shape(self) -> float | None:
@@ -728,7 +608,7 @@ def describe(
     elif set(drawing.steps) - NOT_LABELLED:
         labelled = made_with(loaded)
     lines = f"{part.sentence()} lines" if part.is_whole else part.sentence()
-    if not part.is_whole and (options.block is not None or options.figure1):
+    if not part.is_whole and options.figure1:
         lines = f"block {part.first // loaded.config.prc.lines_per_block}, {lines}"
     step = thinned(drawing.thinned_by)
     return heading(

@@ -210,7 +210,6 @@ def _check(output: Path, options: RenderOptions) -> None:
         ("--figure1", options.figure1 or None),
         ("--reference", options.reference),
         ("--colour", options.colour),
-        ("--block", options.block),
         ("--view", None if options.view == "scan" else options.view),
     ):
         if value is not None:
