@@ -1,4 +1,4 @@
-"""What 1.0 promised to keep: every name of ``frozen.txt`` is still there.
+"""What 2.0 promises to keep: every name of ``frozen.txt`` is still there.
 
 ``python -m tests.test_frozen`` writes the file anew. A line that goes breaks a script; a new line
 is a promise."""

@@ -283,13 +283,11 @@ def rules(**keys: Any) -> Any:
     times = iter([SimpleNamespace(values={"time": np.array([7.25, 8.0])})])
     return SimpleNamespace(
         rules=SimpleNamespace(**{**usual, **keys}),
-        setups=dict(
-            enumerate(
-                [
-                    SimpleNamespace(columns=angles)
-                    for angles in (grid, SimpleNamespace(grid=None), grid)
-                ]
-            )
+        setup=SimpleNamespace(
+            scanners={
+                number: SimpleNamespace(columns=angles)
+                for number, angles in enumerate((grid, SimpleNamespace(grid=None), grid))
+            }
         ),
         source=SimpleNamespace(chunks=lambda _: times),
     )

@@ -281,7 +281,7 @@ def test_the_refusal_names_the_options_that_mend_it(
     command = ["classify", str(dump), str(labels), "--preset", "urban", "-M", str(M)]
     assert run(command) == 1
     assert (
-        "; its bytes are ranges of a scan with --set layout.endian=big; to accept"
+        "hint: its bytes are ranges of a scan with --set layout.endian=big; to accept"
         in capsys.readouterr().err
     )
     assert run(["info", str(dump), "-M", str(M)]) == 0

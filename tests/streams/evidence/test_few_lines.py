@@ -39,4 +39,4 @@ class OneBlock:
 def test_a_window_may_be_short(inputs: dict[str, str], is_told: bool) -> None:
     stream = watched(OneBlock(), InputConfig(**inputs))
     assert len(list(stream.blocks())) == 1
-    assert ("few-lines" in {finding.check for finding in stream.findings()}) == is_told
+    assert ("few-lines" in {finding.check for finding in stream.observed.findings}) == is_told
