@@ -71,7 +71,7 @@ PARTS: dict[str, Part] = {
         "static_scan",
         "street-scan",
         "street_scan",
-        RenderOptions(steps=("range", "coarse", "classes", "reference")),
+        _PICTURE,
         {"scanner": {"azimuth_step_deg": 0.46, "points_per_line": 544}},
     ),
     # as far as one sees in a wood

@@ -47,6 +47,8 @@ _VARYING = [
     for pattern, text in [
         (r"\d{8}T\d{6}Z-[0-9a-f]{8}", "<run>"),
         (r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(\+00:00|Z)?( UTC)?", "<when>"),
+        # days beside the curves of a night's report
+        (r"(?<!\d)20\d\d-\d\d-\d\d(?!\d)", "<day>"),
         # of other packages, wherever and in whatever version they are installed
         (r"(?<=Traceback \(most recent call last\):\n)(  .*\n)+", ""),
         (r"process \d+( of \S+ on \S+)?", "<process>"),
