@@ -29,7 +29,7 @@ INPUTS = {
 }
 """Seeds of archive files, by target."""
 
-_SMALL = ("--width", "300", "--height", "300")
+_SMALL = ("--width", "300")
 _P = ("--preset", "urban", "--trust-order")
 LABELLED = ("classify", "{case}", "{out}/o.npy", *BLOCKS)
 """The command whose labels are compared with those of other ways."""

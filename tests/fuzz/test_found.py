@@ -118,8 +118,8 @@ def test_laz_that_is_copied_is_checked_first(
     struct.pack_into("<H", no_items, laszip + 54 + 32, 999)
     struct.pack_into("<I", no_records, laszip + 54 + 12, 0)
     for damaged, message in (
-        (many, "table of 168430090 chunks, expected 1 to"),
-        (no_items, "bytes for 999 items, expected at least"),
+        (many, "table of 168430090 chunks\n  expected 1 to"),
+        (no_items, "bytes for 999 items\n  expected at least"),
         (no_records, "chunks of 0 records"),
     ):
         source = put(tmp_path / "a.laz", bytes(damaged))
