@@ -93,8 +93,6 @@ class Panel:
     bar: Bar | None = None
     key: Key = ()
     """Colours of this picture, explained below it."""
-    caption: str = ""
-    """A sentence or two for pages with text."""
     zoom: tuple[int, int] = (1, 1)
     """Integer enlargement factors, across and down."""
 
@@ -163,7 +161,7 @@ def zoom_for(
     return across, down
 
 
-def draw_panel(panel: Panel, *, with_title: bool = True) -> Image.Image:
+def draw_panel(panel: Panel) -> Image.Image:
     """Draw one picture with its axes and its colour bar."""
     picture = panel.picture
     is_rgb = picture.ndim == 3 and picture.shape[2] == 3 and picture.dtype == np.uint8
@@ -176,13 +174,12 @@ def draw_panel(panel: Panel, *, with_title: bool = True) -> Image.Image:
 
     # the title above, the note beside it or, if there is no room, below the picture with the key
     width, height = panel.size
-    top = TITLE_HEIGHT if with_title else MARGIN // 2
+    top = TITLE_HEIGHT
     title_width = font(_TITLE).getlength(panel.title) + 16
     head_width = title_width + font(_SMALL).getlength(panel.note)
-    is_note_below = with_title and bool(panel.note) and head_width > width + RIGHT
+    is_note_below = bool(panel.note) and head_width > width + RIGHT
     note_height = 30 if is_note_below else 0
-    # HTML pages write the key below the picture themselves
-    rows = key_rows(panel.key, width + RIGHT - MARGIN) if with_title else []
+    rows = key_rows(panel.key, width + RIGHT - MARGIN)
     foot = note_height + KEY_HEIGHT * len(rows) + (MARGIN if rows else 0)
     bottom = top + height + AXIS_HEIGHT
 
@@ -192,14 +189,13 @@ def draw_panel(panel: Panel, *, with_title: bool = True) -> Image.Image:
     enlarged = picture.repeat(down, axis=0).repeat(across, axis=1)
     canvas.paste(Image.fromarray(np.ascontiguousarray(enlarged)), (LEFT, top))
     draw.rectangle((LEFT - 1, top - 1, LEFT + width, top + height), outline=(150, 150, 150))
-    if with_title:
-        draw.text((LEFT, top - 8), panel.title, fill=INK, font=font(_TITLE), anchor="ls")
-        note_place = (LEFT + draw.textlength(panel.title, font=font(_TITLE)) + 16, top - 8)
-        anchor = "ls"
-        if is_note_below:
-            note_place = (LEFT, bottom + 4)
-            anchor = "la"
-        draw.text(note_place, panel.note, fill=PALE_INK, font=font(_SMALL), anchor=anchor)
+    draw.text((LEFT, top - 8), panel.title, fill=INK, font=font(_TITLE), anchor="ls")
+    note_place = (LEFT + draw.textlength(panel.title, font=font(_TITLE)) + 16, top - 8)
+    anchor = "ls"
+    if is_note_below:
+        note_place = (LEFT, bottom + 4)
+        anchor = "la"
+    draw.text(note_place, panel.note, fill=PALE_INK, font=font(_SMALL), anchor=anchor)
     _draw_axes(draw, panel, top, width, height)
     if panel.bar is not None:
         _draw_bar(canvas, draw, panel.bar, LEFT + width + 18, top, height)

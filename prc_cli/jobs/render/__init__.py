@@ -12,7 +12,6 @@ from prc_cli.formats.input import Input
 from prc_cli.imaging.sheet import choose_columns, draw_sheet
 from prc_cli.jobs.choice import decide, decided_by
 from prc_cli.jobs.render.options import (
-    CAPTIONS,
     COLOURS,
     PRC_STEPS,
     SUFFIX,
@@ -117,4 +116,4 @@ def _decided(scan: Input, config: LoadedConfig, options: RenderOptions) -> Loade
     return decide(scan, config)
 
 
-__all__ = ["CAPTIONS", "COLOURS", "VIEWS", "RenderOptions", "RenderResult", "render"]
+__all__ = ["COLOURS", "VIEWS", "RenderOptions", "RenderResult", "render"]

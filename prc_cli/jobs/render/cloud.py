@@ -207,7 +207,7 @@ def draw_cloud(
         notes=tuple(notes),
     )
     return (
-        _panel(buffer.picture(), camera, bar, colour),
+        _panel(buffer.picture(), camera, bar),
         words.table.key(counts) if by_class else (),
         result,
     )
@@ -338,7 +338,6 @@ def _panel(
     picture: U8,
     camera: FromAbove,
     bar: Bar | None,
-    colour: ColourBy,
 ) -> Panel:
     metres = camera.metres
     (width, height) = camera.size
@@ -348,8 +347,7 @@ def _panel(
     _draw_scale(picture, max(1, round(length_m / metres)))
     pixel = f"{metres:.3g} m" if metres >= 1 else f"{100 * metres:.3g} cm"
     note = f"scale bar {length_m:g} m, 1 pixel = {pixel}"
-    caption = f"Points coloured by {colour}; steps in depth are shaded."
-    return Panel("from above", picture, x, y, note, bar, (), caption)
+    return Panel("from above", picture, x, y, note, bar)
 
 
 def _draw_scale(picture: U8, length: int) -> None:

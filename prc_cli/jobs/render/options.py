@@ -27,61 +27,22 @@ PRC_STEPS = (
 FIGURE_1 = ("range", *(step for step in PRC_STEPS if step != "critical"), "classes")
 """The paper's Fig. 1 (Lehtola et al. 2019)."""
 
-CAPTIONS: dict[str, tuple[str, str]] = {
-    "range": (
-        "range",
-        "Slant range of every shot, near bright, far dark, on a logarithmic scale; white: no "
-        "return.",
-    ),
-    "intensity": ("intensity", "Strength of the return as the input gives it; white: none."),
-    "support": (
-        "supported S (white)",
-        "Shots that a neighbour in time supports (Lehtola et al. 2019, II-B); black: noise, or "
-        "no return.",
-    ),
-    "background": (
-        "extended background G (white)",
-        "Supported shots whose neighbourhood is not smooth (Lehtola et al. 2019, II-C): where "
-        "one surface ends or all is rough.",
-    ),
-    "critical": (
-        "critical zeta (black: never)",
-        "Range difference from which on a shot has the support of its neighbours, the larger of "
-        "the two thresholds (Lehtola et al. 2019, V-A), on a logarithmic scale; white: no return.",
-    ),
-    "components": (
-        "components before filling",
-        "Connected components of S without G (Lehtola et al. 2019, Fig. 3(c)), before holes are "
-        "filled and labels of the block before are taken over.",
-    ),
-    "segments": (
-        "smooth segments H",
-        "Connected components of S without G, holes filled (Lehtola et al. 2019, II-D). A colour "
-        "a segment, kept from block to block.",
-    ),
-    "surfaces": (
-        "non-smooth surfaces V",
-        "What is too small in H, grown together (Lehtola et al. 2019, II-E). A colour a surface.",
-    ),
-    "segmentation": (
-        "segmentation R",
-        "H and V together (Lehtola et al. 2019, II-E): every supported shot with its final "
-        "segment. A colour a segment; black: noise, or no return.",
-    ),
-    "classes": ("classes", "The class of every shot."),
-    "confidence": (
-        "confidence",
-        "How sure the class is: per cent of such shots that are right on simulated scans; white: "
-        "no return.",
-    ),
-    "reference": ("reference", "Classes of the reference."),
-    "difference": (
-        "differences, in the colour of the predicted class",
-        "Pale grey where prediction and reference agree; else the colour of what was predicted; "
-        "pale violet where either is not scored, white where there is no return.",
-    ),
+TITLES = {
+    "range": "range",
+    "intensity": "intensity",
+    "support": "supported S (white)",
+    "background": "extended background G (white)",
+    "critical": "critical zeta (black: never)",
+    "components": "components before filling",
+    "segments": "smooth segments H",
+    "surfaces": "non-smooth surfaces V",
+    "segmentation": "segmentation R",
+    "classes": "classes",
+    "confidence": "confidence",
+    "reference": "reference",
+    "difference": "differences, in the colour of the predicted class",
 }
-"""Title and caption of every step."""
+"""Title of every step."""
 
 ON_REQUEST = ("intensity", "confidence", "critical")
 """Steps that are drawn only where they are named."""
@@ -187,7 +148,7 @@ def choose_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
     hint = f"possible here: {', '.join(possible)}"
     for step in (wrong for wrong in chosen if wrong not in possible):
         why = f"which is no step of {method}"
-        if step not in CAPTIONS:
+        if step not in TITLES:
             why = "which is no step"
         elif options.labels is not None:
             why = "which a label file does not hold"

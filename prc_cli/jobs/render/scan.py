@@ -43,7 +43,7 @@ from prc_cli.jobs.render.colours import (
     thinned,
     vocabulary,
 )
-from prc_cli.jobs.render.options import CAPTIONS, PRC_STEPS, RenderOptions, choose_steps
+from prc_cli.jobs.render.options import PRC_STEPS, TITLES, RenderOptions, choose_steps
 from prc_cli.jobs.run import Progress
 from prc_cli.methods.base import MethodParams, OneByOne, Wanted
 from prc_cli.methods.prc.pipeline import (
@@ -74,7 +74,6 @@ NOT_LABELLED = {"range", "intensity", "reference"}
 """Steps that need no classifier."""
 _NO_RETURN = "no return"
 _AGREE = "both agree"
-_PALE = (226, 226, 226)
 
 
 def open_for_pictures(scan: Input, loaded: LoadedConfig) -> ScanStream:
@@ -517,7 +516,7 @@ class _Sheet:
         lines: tuple[int, int],
     ) -> Panel:
         """Orient a picture for viewing and add its axes."""
-        title, caption = CAPTIONS[step]
+        title = TITLES[step]
         layout = self.layout
         (n, m) = picture.shape[:2]
         note = ""
@@ -529,28 +528,17 @@ class _Sheet:
         beam_rad = None if self.beam_rad is None else self.beam_rad[:: layout.column_step]
         order = upright(beam_rad)
         if layout.kind == "block":
-            return Panel(title, picture, across, along, note, bar, key, caption, zoom_for(m, n))
+            return Panel(title, picture, across, along, note, bar, key, zoom_for(m, n))
         if beam_rad is None or order is None:
-            zoom = zoom_for(n, m)
-            return Panel(
-                title, picture.swapaxes(0, 1), along, across, note, bar, key, caption, zoom
-            )
+            picture = picture.swapaxes(0, 1)
+            return Panel(title, picture, along, across, note, bar, key, zoom_for(n, m))
         picture = picture[:, order].swapaxes(0, 1)
         if self.turn_rad > 0:
             picture = picture[:, ::-1]
             along = Axis("line", lines[1], lines[0])
         side = _elevations(beam_rad, order, m * layout.column_step)
-        return Panel(
-            title,
-            picture,
-            along,
-            side,
-            note,
-            bar,
-            key,
-            caption,
-            _upright_zoom(n, m, self._shape()),
-        )
+        zoom = _upright_zoom(n, m, self._shape())
+        return Panel(title, picture, along, side, note, bar, key, zoom)
 
     def _shape(self) -> float | None:
         # ratio of height to width of a drawn cell, as angles from the scanner; None = unknown
