@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli import cli
-from prc_cli.cli import COMMANDS
+from prc_cli.cli import COMMANDS, watching
 from prc_cli.core.interrupts import REPEATED_S
 from tests import patience
 from tests.fuzz.crafted import huge_page, overflowing
@@ -54,7 +53,7 @@ cli.main()
 def prc(
     *words: str | Path, guarded: bool = True, **options: object
 ) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), cli.SWITCH: "1" if guarded else "0"}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), watching.SWITCH: "1" if guarded else "0"}
     command = [sys.executable, "-m", "prc_cli", *map(str, words)]
     return patience.run(
         command, capture_output=True, text=True, env=environment, cwd=ROOT, **options
@@ -179,6 +178,7 @@ ENDLESS = """
 import contextlib, sqlite3, sys, threading
 from pathlib import Path
 from prc_cli import cli
+from prc_cli.cli import watching
 from prc_cli.core import process
 
 def work(arguments, debug):
@@ -197,7 +197,7 @@ def decode(path, begun, ended):
         base.execute("SELECT instr(hex(zeroblob(4000000)), hex(zeroblob(2000000)) || 1)").fetchall()
     ended.set()
 
-cli.PATIENCE_S = 1.0
+watching.PATIENCE_S = 1.0
 process.STEP_CPU_S = int(sys.argv.pop(1))
 cli._run = work
 cli.main()
@@ -279,8 +279,8 @@ def _runs(process: str) -> bool:
 
 
 def test_every_command_that_reads_files_is_guarded() -> None:
-    assert set(COMMANDS) > cli.UNGUARDED
-    assert not cli.UNGUARDED & {
+    assert set(COMMANDS) > watching.UNGUARDED
+    assert not watching.UNGUARDED & {
         "info",
         "classify",
         "batch",
