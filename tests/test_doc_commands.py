@@ -80,10 +80,6 @@ def sandbox(tmp_path_factory: pytest.TempPathFactory) -> Path:
     prc("classify @drive.npz @labels.npy -q")
     prc("classify @drive.npz @labels.csv -q")
     prc("classify @drive.laz @out.laz -q")
-    prc(
-        "simulate street-scan @scan.e57 --set station.turn_deg=40 --set "
-        "scanner.azimuth_step_deg=0.5 -q"
-    )
     for name in ("drive_classified.laz", "classified.laz"):
         shutil.copy(folder / "out.laz", folder / name)
     shutil.copy(folder / "drive.laz", folder / "reference.laz")

@@ -40,7 +40,7 @@ def convert(
 ) -> None:
     """Convert IN to the format of OUT, and report what is lost.
 
-    OUT is .las, .laz, .csv (.csv.gz, .csv.zst), .parquet, .npz, .npy, .bin, .ply, .pcd, .e57 or a
+    OUT is .las, .laz, .csv (.csv.gz, .csv.zst), .parquet, .npz, .npy, .bin, .ply, .pcd or a
     bag (.bag, .mcap, .db3). From .las to .laz and back only the compression changes. prc reads all
     other files as prc classify does. Ranges and times keep every bit.
 

@@ -160,7 +160,7 @@ def simulate() -> None:
     """Simulate a scan of a street or a forest, with the true class of every shot.
 
     OUT is any format that prc convert writes: .las, .laz, .csv (.csv.gz, .csv.zst), .parquet, .npz,
-    .npy, .bin, .e57, or a bag (.bag, .mcap, .db3). The same parameters and the same seed give the
+    .npy, .bin, or a bag (.bag, .mcap, .db3). The same parameters and the same seed give the
     same bytes. OUT.prc.json contains the parameters and the version.
 
     \b
@@ -186,7 +186,7 @@ def street(**options: Any) -> None:
       prc simulate street drive.laz --length 900 --seed 7 --trajectory drive.csv
       prc simulate street drive.npz --scanner profiler-1mhz --speed 14 \\
         --set trajectory.stop_every_m=0
-      prc simulate street drive.e57 --config terraces.toml
+      prc simulate street drive.laz --config terraces.toml
       prc simulate street spin.npz --scanner vlp-16 --duration 5 --frames frames/
       prc simulate street spin.bag --scanner vlp-32c --duration 5 --set flake_m=150
     """
@@ -218,7 +218,7 @@ def street_scan(**options: Any) -> None:
     \b
     Examples:
       prc simulate street-scan station.npz
-      prc simulate street-scan station.e57 --set station.turn_deg=90 --set station.along_m=200
+      prc simulate street-scan station.npz --set station.turn_deg=90 --set station.along_m=200
     """
     _run("street-scan", options)
 

@@ -45,6 +45,18 @@ _ROW = (
 )
 
 
+_NO_OUTPUTS = {".e57": "prc 2.0 writes no E57: write .laz for other programs, .npz for prc"}
+
+
+def output_hint_of(suffix: str) -> str:
+    """Return a hint for an output of a suffix that prc does not write.
+
+    >>> output_hint_of(".e57")
+    'prc 2.0 writes no E57: write .laz for other programs, .npz for prc'
+    """
+    return _NO_OUTPUTS.get(suffix, "choose an output name that ends in one of them")
+
+
 def hint_of(path: Path) -> str | None:
     """Return a hint how to export a file of another program for prc; None if it is not known.
 

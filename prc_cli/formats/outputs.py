@@ -7,6 +7,7 @@ from pathlib import Path
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import check_output, prepare_outputs, suffix_of
 from prc_cli.formats.bags import DATABASE, METADATA
+from prc_cli.formats.foreign import output_hint_of
 from prc_cli.formats.registry import Format, by_suffix
 from prc_cli.formats.trajectory import SBET_SUFFIXES
 from prc_cli.formats.writing.base import StagedWriter, StreamShape
@@ -37,7 +38,7 @@ def stream_suffix(path: Path) -> str:
     known = by_suffix("streams")
     if suffix not in known:
         problem = f"found suffix {suffix!r}, expected one of {' '.join(known)}"
-        raise ConfigError(str(path), problem, "choose an output name that ends in one of them")
+        raise ConfigError(str(path), problem, output_hint_of(suffix))
     return suffix
 
 

@@ -78,8 +78,6 @@ class Format:
     """Writes a stream: ``(path, shape) -> StagedWriter``."""
     holds: frozenset[Held] = EVERYTHING
     """Values that a written stream can hold."""
-    makes_xyz: bool = False
-    """Whether a written stream has relative coordinates even if its blocks have none."""
     labels: tuple[str, ...] = ()
     """Suffixes of outputs of ``prc classify``."""
     write_labels: str = ""

@@ -106,7 +106,7 @@ def convert(
     source : path
         Any readable input.
     output : path
-        ``.las .laz .csv .csv.gz .csv.zst .parquet .npz .npy .bin .e57``.
+        ``.las .laz .csv .csv.gz .csv.zst .parquet .npz .npy .bin``.
     config : LoadedConfig or RunConfig, optional
         How the stream is found in the input; not needed between LAS and LAZ.
     overwrite : bool
@@ -477,7 +477,7 @@ def how_to_read(output: Path, opened: OpenedItems, counts: Counts) -> tuple[str,
         )
     if form.is_dump:
         notes.append(f"read it with --config {output.name}.toml")
-    directed = form.is_dump or form.makes_xyz or (shape.registered and form.holds_all)
+    directed = form.is_dump or (shape.registered and form.holds_all)
     directed = directed or (shape.xyz and "relative" in form.holds and not form.holds_all)
     if shape.down_rad is not None and not directed:
         angle = float(np.rad2deg(shape.down_rad))

@@ -111,7 +111,7 @@ def simulate(
     kind : {"street", "forest", "street-scan"}
         What is simulated.
     output : path
-        ``.las .laz .csv .csv.gz .csv.zst .parquet .npz .npy .bin .e57 .bag .db3 .mcap``. Point
+        ``.las .laz .csv .csv.gz .csv.zst .parquet .npz .npy .bin .bag .db3 .mcap``. Point
         clouds and tables have the registered coordinates of every return, from the true pose.
     settings : optional
         From :func:`load_settings`.
@@ -149,7 +149,7 @@ def simulate(
         chosen,
         reference=reference,
         threads=threads,
-        with_xyz=is_static or form.makes_xyz or files.frames is not None or in_cells,
+        with_xyz=is_static or files.frames is not None or in_cells,
         with_world=not is_static and (form.holds_all or reference == "cylinders"),
     )
     with whole_set(), contextlib.ExitStack() as stack:
@@ -379,7 +379,7 @@ def check_simulation(
 def reference_path(output: Path) -> Path:
     """Return the file for the reference classes of an output that cannot hold them.
 
-    >>> reference_path(Path("drive.e57")).name
+    >>> reference_path(Path("drive.laz")).name
     'drive_reference.npy'
     """
     return output.with_name(f"{output.stem}_reference.npy")

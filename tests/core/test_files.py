@@ -221,7 +221,7 @@ def test_an_output_onto_a_device_or_a_pipe_is_refused() -> None:
 def test_what_a_library_does_not_say_of_a_full_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "o.e57"
+    path = tmp_path / "o.sqlite"
     path.write_bytes(b"half")
     assert files.why_not_written(path) == 0
     monkeypatch.setattr(files.shutil, "disk_usage", lambda folder: SimpleNamespace(free=4096))

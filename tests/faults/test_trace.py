@@ -126,7 +126,6 @@ def check_order(traced_calls: list[tuple[str, list[str]]], out: Path) -> set[str
                     ("o.parquet",),
                 ),
                 (("convert", "{seeds}/a.csv", "{out}/o.las", "--trust-order"), ("o.las",)),
-                (("convert", "{seeds}/a.csv", "{out}/o.e57", "--trust-order"), ("o.e57",)),
                 (("convert", "{seeds}/a.csv", "{out}/o.npz", "--trust-order"), ("o.npz",)),
                 (("transfer", "{seeds}/pf6.las", "{seeds}/pf6.laz", "{out}/o.laz"), ("o.laz",)),
                 (("simulate", "street", "{out}/o.npz", "--lines", "3"), ("o.npz",)),

@@ -62,7 +62,7 @@ READ: tuple[tuple[str, ...], ...] = (
     ("convert", "{case}", "{out}/o.npz", "--trust-order"),
     ("convert", "{case}", "{out}/o.csv.gz", "--trust-order"),
     ("convert", "-v", "{case}", "{out}/o.las", "--trust-order"),
-    ("convert", "{case}", "{out}/o.e57", "--trust-order"),
+    ("convert", "{case}", "{out}/o.pcd", "--trust-order"),
     (
         "convert",
         "{case}",

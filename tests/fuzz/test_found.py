@@ -82,8 +82,8 @@ def test_names_of_files_command_no_terminal(
     for command in (
         ("info", "-v", source, "--trust-order"),
         ("classify", "-v", source, labels, *URBAN),
-        ("convert", "-v", source, tmp_path / f"{name}.e57", "--trust-order"),
-        ("info", tmp_path / f"{name}.e57", "--trust-order"),
+        ("convert", "-v", source, tmp_path / f"{name}.ply", "--trust-order"),
+        ("info", tmp_path / f"{name}.ply", "--trust-order"),
         ("evaluate", labels, labels),
         ("evaluate", labels, labels, "--format", "markdown"),
         ("evaluate", labels, labels, "--format", "csv", "-o", tmp_path / f"{name}.html"),

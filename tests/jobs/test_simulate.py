@@ -78,7 +78,7 @@ def test_neither_blocks_nor_threads_change_anything(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".laz", ".csv", ".e57"])
+@pytest.mark.parametrize("suffix", [".laz", ".csv"])
 def test_further_returns_have_their_classes_at_their_records(tmp_path: Path, suffix: str) -> None:
     out = tmp_path / f"a{suffix}"
     labels = tmp_path / "labels.npy"
@@ -95,8 +95,7 @@ def test_further_returns_have_their_classes_at_their_records(tmp_path: Path, suf
     assert same(codes[record[there]], lookup[truth[:, : after.points_per_line][there]])
     order = np.lexsort((after.extra.range_m, after.extra.column, after.extra.line))
     assert same(codes[after.extra.record[order]], lookup[further])
-    if suffix != ".e57":
-        assert same(np.concatenate(list(open_codes(out).codes())), codes)
+    assert same(np.concatenate(list(open_codes(out).codes())), codes)
 
 
 @pytest.mark.slow
@@ -135,7 +134,7 @@ def test_a_frame_that_is_none_is_refused_by_the_name_of_its_file(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".npz", ".laz", ".csv", ".e57"])
+@pytest.mark.parametrize("suffix", [".npz", ".laz", ".csv"])
 def test_a_static_scan_can_be_classified_by_its_own_method(tmp_path: Path, suffix: str) -> None:
     out = tmp_path / f"station{suffix}"
     settings = load_settings(
@@ -146,9 +145,7 @@ def test_a_static_scan_can_be_classified_by_its_own_method(tmp_path: Path, suffi
         [item.labels for item in open_simulation("street-scan", settings).scan.labelled_blocks()]
     )
     inputs = (
-        {}
-        if suffix in (".npz", ".e57")
-        else {"range": "dimension:range" if suffix == ".laz" else "auto"}
+        {} if suffix == ".npz" else {"range": "dimension:range" if suffix == ".laz" else "auto"}
     )
     classify(out, tmp_path / "labels.npy", config(out, "street-scan", **inputs))
     codes = np.load(tmp_path / "labels.npy").ravel()

@@ -4,13 +4,5 @@ from prc_cli.formats.registry import Format
 
 FORMATS = (
     Format(name="PTX", scans=(".ptx",), images="prc_cli.formats.organised.ptx:PtxStream"),
-    Format(
-        name="E57",
-        scans=(".e57",),
-        images="prc_cli.formats.organised.e57_read:E57Stream",
-        streams={".e57": "organised scans, relative to the scanner"},
-        write_stream="prc_cli.formats.organised.e57_write:E57Stream",
-        makes_xyz=True,
-        holds=frozenset(("relative", "angles", "times", "intensity", "returns")),
-    ),
+    Format(name="E57", scans=(".e57",), images="prc_cli.formats.organised.e57_read:E57Stream"),
 )

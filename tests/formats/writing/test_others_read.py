@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import gzip
-import inspect
 import io
 import re
 import tomllib
@@ -57,15 +56,6 @@ def _dump(path: Path) -> int:
     return len(np.fromfile(path, kind))
 
 
-def _e57(path: Path) -> int:
-    pye57 = pytest.importorskip("pye57")
-    if "ignore_unsupported_fields" not in inspect.signature(pye57.E57.read_scan_raw).parameters:
-        pytest.skip("this pye57 reads no scan with times or several returns")
-    with pye57.E57(str(path)) as file:
-        points = file.read_scan_raw(0, ignore_unsupported_fields=True)
-        return len(points["cartesianX"])
-
-
 def _cloud(path: Path) -> int:
     word = rb"element vertex (\d+)" if path.suffix == ".ply" else rb"POINTS (\d+)"
     match = re.search(word, path.read_bytes()[:2000])
@@ -93,7 +83,6 @@ READERS: dict[str, Callable[[Path], int]] = {
     ".npy": _array,
     ".parquet": lambda path: parquet.read_table(path).num_rows,
     ".bin": _dump,
-    ".e57": _e57,
     ".ply": _cloud,
     ".pcd": _cloud,
     ".bag": _bag,

@@ -36,7 +36,6 @@ DRIVES = {
 CANNOT = {
     ".parquet": "rings prc fused sequential-angle",  # for other programs
     ".npy": "rings fused sequential-angle",  # ranges only
-    ".e57": "fused",  # scan angles follow from float32 coordinates
     # a cloud has rings, which a tripod has not
     ".bag": "sequential-angle",
     ".db3": "sequential-angle",
