@@ -464,7 +464,7 @@ def _with_layout_of_frame(scan: Input, loaded: LoadedConfig) -> LoadedConfig:
     if has_rules or not scan.is_dump or not scan.path.is_file():
         return loaded
     # imported here: only dumps need it
-    from prc_cli.formats.guessing import frame_fields
+    from prc_cli.formats.frame import frame_fields
 
     names = frame_fields(scan.path)
     if names is None:

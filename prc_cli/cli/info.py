@@ -18,7 +18,7 @@ from prc_cli.cli.options import Sectioned, config_from, given_words, output_opti
 from prc_cli.cli.output import print_json, print_result, print_text
 from prc_cli.cli.paths import WRITTEN, ScanPath
 from prc_cli.cli.report import print_doubts
-from prc_cli.config import LoadedConfig, load_config
+from prc_cli.config import LoadedConfig
 from prc_cli.core.errors import ExitCode, InputError, PrcError, printable
 from prc_cli.core.findings import LABEL_CHECKS, Finding, Verdict
 from prc_cli.formats.las.vlrs import short_crs
@@ -35,13 +35,6 @@ from prc_cli.streams.evidence.table import check_table
 )
 @stream_options
 @click.option(
-    "--draft",
-    type=WRITTEN,
-    metavar="FILE.toml",
-    help="Write a layout for FILE, guessed from its header, "
-    "its first records or the period of its bytes.",
-)
-@click.option(
     "--path",
     "path_output",
     type=WRITTEN,
@@ -56,13 +49,12 @@ from prc_cli.streams.evidence.table import check_table
     "lever arm, "
     "coordinates.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace an existing draft or path.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing path.")
 @click.option("--checks", is_flag=True, help="List every check with its result and its limit.")
 @output_options
 def info(
     files: tuple[Path, ...],
     deep: bool,
-    draft: Path | None,
     path_output: Path | None,
     check_path: bool,
     overwrite: bool,
@@ -85,9 +77,6 @@ def info(
       prc info tile.laz --range points --path path.csv
     """
     loaded = config_from(options)
-    if draft is not None:
-        loaded = _drafted(files, draft, loaded, overwrite=overwrite)
-        options = {**options, "config_file": draft}
     if path_output is not None:
         _prepare_path(files, path_output, loaded, is_checked=check_path, overwrite=overwrite)
     reports: list[dict[str, Any]] = []
@@ -148,22 +137,6 @@ def _written_path(
             inspection.path, inspection.problem or "no path was found", inspection.hint
         )
     return save_path(output, inspection.drive, loaded, Path(inspection.path), overwrite=overwrite)
-
-
-def _drafted(
-    files: tuple[Path, ...],
-    output: Path,
-    loaded: LoadedConfig,
-    *,
-    overwrite: bool,
-) -> LoadedConfig:
-    if len(files) != 1 or loaded.files:
-        message = "--draft works with one file, without --config and --layout"
-        raise click.UsageError(message)
-    from prc_cli.jobs.draft import draft as write_draft  # the only one that needs it
-
-    write_draft(files[0], output, loaded, overwrite=overwrite)
-    return load_config(output)
 
 
 def _print(

@@ -329,7 +329,6 @@ _OWN_SECTIONS = {
     "overwrite": "Output",
     "segment_ids": "Output",
     "labels": "Output",
-    "draft": "Output",
     "threads": "Run",
     "profile": "Run",
 }

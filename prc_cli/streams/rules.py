@@ -380,11 +380,11 @@ def _all_missing(source: Source, missing: list[InputError], config: InputConfig)
     """Return one error for everything that is missing, instead of one after the other."""
     has_range = not any(error.problem.startswith(_NO_RANGE) for error in missing)
     if len(missing) == 1 or has_range:
-        return _with_draft(source, missing[0])
+        return _with_layout(source, missing[0])
     if not set(STANDARD_NAMES) & set(source.dimensions):
         problem = f"prc does not know these columns: {', '.join(source.dimensions[:12])}"
-        hint = "name them in a layout (--layout FILE)"
-        return _with_draft(source, InputError(source.path, problem, hint))
+        hint = "name them in a layout: --layout FILE.toml"
+        return InputError(source.path, problem, hint)
     faults = ", ".join(error.problem.partition(":")[0] for error in missing)
     lacks_range = missing[-1].problem.partition(": ")[2]
     problem = f"{faults}; {lacks_range}"
@@ -392,18 +392,18 @@ def _all_missing(source: Source, missing: list[InputError], config: InputConfig)
     if only_times_tell(source):
         is_sorted = " --sort-by-time" if config.order == "sort-time" else ""
         hint = f"prc info {source.path}{is_sorted}{MEASURED}{hint}"
-    return _with_draft(source, InputError(source.path, problem, hint))
+    return _with_layout(source, InputError(source.path, problem, hint))
 
 
-def _with_draft(source: Source, error: InputError) -> InputError:
+def _with_layout(source: Source, error: InputError) -> InputError:
+    """Name the layout as another way if the columns of a file may have other names."""
     is_guessed = source.format == "raw binary" and source.dimensions == ("range",)
     if not is_guessed and (
         source.format != "text" or set(source.dimensions) <= set(STANDARD_NAMES)
     ):
         return error
-    path = "FILE" if source.path == "stdin" else source.path
-    draft = f"or let prc guess: prc info {path} --draft FILE.toml, then --config FILE.toml"
-    return InputError(source.path, error.problem, f"{error.hint}; {draft}")
+    layout = "or name the fields of its records in a layout: --layout FILE.toml"
+    return InputError(source.path, error.problem, f"{error.hint}; {layout}")
 
 
 def _height_names(source: Source, config: InputConfig, range_: str) -> tuple[str, ...]:

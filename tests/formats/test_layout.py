@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from prc_cli.config import resolve
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ReadTally
-from prc_cli.formats.guessing import FRAME_FIELDS, frame_fields
+from prc_cli.formats.frame import FRAME_FIELDS, frame_fields
 from prc_cli.formats.options import Layout, LayoutField, decode, record_dtype
 from prc_cli.formats.ranges import choose_returns, clean_ranges, continues_run, mark_shots
 from prc_cli.formats.raw_binary.read import RawBinarySource

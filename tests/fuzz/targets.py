@@ -53,7 +53,6 @@ STATE = "state"
 READ: tuple[tuple[str, ...], ...] = (
     ("info", "{case}"),
     ("info", "-v", "{case}", "--trust-order"),
-    ("info", "-q", "{case}", "--draft", "{out}/o.toml"),
     ("info", "--json", "{case}", "--method", "sequential-angle", "--trust-order"),
     ("classify", "{case}", "{out}/o.npy", *_P),
     ("classify", "-v", "{case}", "{out}/o.csv", *_P),

@@ -12,7 +12,7 @@ from prc_cli.config import resolve
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.frame import turning
 from prc_cli.core.types import I64
-from prc_cli.formats.guessing import is_frame
+from prc_cli.formats.frame import is_frame
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams import rings
