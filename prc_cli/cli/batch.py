@@ -194,23 +194,11 @@ _OUTPUTS = [
     ),
     _option("--overwrite", is_flag=True, help="Replace outputs that prc batch did not write."),
     _option(
-        "--adopt",
-        is_flag=True,
-        help="Keep such outputs if their record shows the same input and configuration.",
-    ),
-    _option(
         "--verify",
         is_flag=True,
         help="Compare the content of inputs and outputs, not only size and time. "
         "prc batch --verify OUT "
         "only checks the outputs.",
-    ),
-    _option(
-        "--keep-version",
-        "keep_versions",
-        multiple=True,
-        metavar="VERSION",
-        help="Keep the outputs of this older version of prc.",
     ),
     _option(
         "--dry-run", is_flag=True, help="Only print the plan, with estimates of time and memory."
@@ -474,11 +462,9 @@ def _settings(options: dict[str, Any]) -> BatchSettings:
         "retry",
         "fail_fast",
         "overwrite",
-        "adopt",
         "verify",
         "stall_s",
         "drift",
-        "keep_versions",
     )
     return BatchSettings(
         config=ConfigLayers(layers.path, layers.preset, layers.table, layers.files),

@@ -317,7 +317,6 @@ class JsonLog:
                 todo=len(plan.todo),
                 bytes=plan.n_bytes,
                 skipped=len(plan.done),
-                adopted=len(plan.adopted),
                 refused=len(plan.refused),
                 beyond_limit=plan.n_beyond_limit,
                 jobs=event.jobs,
@@ -551,7 +550,6 @@ def plan_dict(plan: Plan, estimate: Estimate) -> dict[str, Any]:
         ],
         "bytes": plan.n_bytes,
         "skipped": len(plan.done),
-        "adopted": [file.name for _, file in plan.adopted],
         "refused": [file.as_dict() for file in plan.refused],
         "left_out": [asdict(file) for file in plan.left_out],
         "beyond_limit": plan.n_beyond_limit,
@@ -584,7 +582,6 @@ def print_plan(plan: Plan, estimate: Estimate, *, verbose: bool) -> None:
     states = _listed(
         [
             (len(plan.done), "done already"),
-            (len(plan.adopted), "would be adopted"),
             (plan.n_beyond_limit, "left for another run"),
             (plan.n_not_selected, "not selected"),
         ]

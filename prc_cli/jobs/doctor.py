@@ -518,7 +518,7 @@ def _runs(folder: Path) -> Check:
     versions = sorted({entry.version for entry in entries})
     text = ", ".join(f"{count:,} {state}" for state, count in sorted(states.items())) or "no files"
     details = {"files": dict(states), "versions": versions, "at_work": at_work}
-    hint = "prc batch classifies their files again; --keep-version keeps them"
+    hint = "prc batch classifies their files again"
     older = set(versions) - {__version__}
     return _check(
         "earlier runs",

@@ -423,10 +423,10 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
         "--threads 5 --retry 2 "
     )
     options += (
-        "--fail-fast --overwrite --adopt --verify --stall 9 --memory-limit 800 --to laz "
+        "--fail-fast --overwrite --verify --stall 9 --memory-limit 800 --to laz "
         "--no-drift --only-failed "
     )
-    options += "--keep-version 0.0.9 --accept-doubt standing "
+    options += "--accept-doubt standing "
     options += (
         "--preset forest --set prc.surfaces.gamma=1 -M 99 --reference ref --match time "
         "--fail-under recall.stem=.1"
@@ -445,14 +445,12 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
         "retry": 2,
         "fail_fast": True,
         "overwrite": True,
-        "adopt": True,
         "verify": True,
         "stall_s": 9.0,
         "memory_limit_mib": 800,
         "to": "laz",
         "drift": False,
         "only_failed": True,
-        "keep_versions": ("0.0.9",),
     }
     assert {key: getattr(settings, key) for key in expected} == expected
     assert str(settings.shard) == "2/3"

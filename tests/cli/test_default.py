@@ -133,12 +133,6 @@ def test_a_batch_chooses_for_every_file_and_resumes(prc: Prc, scans: Path) -> No
     assert all(record["config"]["method"] == "fused" for record in records.values())
     before = {path: path.stat().st_mtime_ns for path in (scans / "out").rglob("*.npy")}
     assert prc(*options).code == 0
-    # without the journal the outputs are known by their records
-    for path in (scans / "out").rglob("*.sqlite*"):
-        path.unlink()
-    result = prc(*options, "--adopt")
-    assert result.code == 0, result.err
-    assert {path: path.stat().st_mtime_ns for path in (scans / "out").rglob("*.npy")} == before
     # another method is another configuration
     assert prc(*options, "--preset", "urban").code == 0
     assert {path: path.stat().st_mtime_ns for path in (scans / "out").rglob("*.npy")} != before

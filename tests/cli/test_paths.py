@@ -54,7 +54,6 @@ NO_PATHS = {
     "--shard",
     "--scheduler",
     "--to",
-    "--keep-version",
     "--keep",
     "--spacing",
     "--drop",

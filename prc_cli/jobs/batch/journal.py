@@ -420,7 +420,7 @@ def _errors(path: Path) -> Iterator[None]:
 
 def _damaged(path: Path, damage: str) -> OutputError:
     move = shlex.join(["mv", str(path), f"{path}.damaged"])
-    hint = f"move it away ({move}) and run with --adopt: finished outputs are recognised"
+    hint = f"move it away ({move}) and run with --overwrite: all files are classified again"
     return OutputError(str(path), f"is no whole journal ({damage.splitlines()[0]})", hint)
 
 

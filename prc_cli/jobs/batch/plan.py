@@ -18,7 +18,7 @@ from prc_cli.core.errors import ConfigError, OutputError, OutputExistsError, Prc
 from prc_cli.core.files import suffix_of
 from prc_cli.core.findings import accepted_doubt_of
 from prc_cli.core.version import __version__
-from prc_cli.formats.writing.record import fingerprint, record_path
+from prc_cli.formats.writing.record import fingerprint
 from prc_cli.jobs.batch.configs import BatchConfig
 from prc_cli.jobs.batch.discovery import InputFile, LeftOut, discover
 from prc_cli.jobs.batch.journal import Entry
@@ -28,7 +28,6 @@ from prc_cli.jobs.batch.outcomes import (
     InputPrint,
     Problem,
     is_whole,
-    recorded_outcome,
 )
 from prc_cli.jobs.batch.types import BatchSettings, Task
 from prc_cli.jobs.drive import is_of_drive, output_name
@@ -93,8 +92,6 @@ class Plan:
     """Files to classify, sorted by name; files of one drive together."""
     done: tuple[str, ...] = ()
     """Names of files that are already done with the same input, configuration and version."""
-    adopted: tuple[tuple[Task, Done], ...] = ()
-    """Outputs in no journal whose run record equals the record that this run would write."""
     confirmed: tuple[Done, ...] = ()
     """Done files with a new time but the same content; their names are also in ``done``."""
     refused: tuple[Failed, ...] = ()
@@ -121,7 +118,7 @@ class Plan:
     @property
     def n_found(self) -> int:
         """Number of inputs of this run, done or not."""
-        known = len(self.done) + len(self.adopted) + len(self.refused)
+        known = len(self.done) + len(self.refused)
         return len(self.todo) + known + self.n_beyond_limit
 
 
@@ -159,7 +156,6 @@ def make_plan(
     limit = sum(map(len, drives)) if settings.limit is None else settings.limit
     todo: list[Planned] = []
     done: list[str] = []
-    adopted: list[tuple[Task, Done]] = []
     confirmed: list[Done] = []
     refused: list[Failed] = []
     n_beyond_limit = 0
@@ -183,17 +179,12 @@ def make_plan(
         if due:
             continue
         for task, outcome in zip(tasks, decisions, strict=True):
-            entry = known.get(task.name)
-            if isinstance(outcome, Done) and (entry is None or not entry.owns_output):
-                adopted.append((task, outcome))
-                continue
             done.append(task.name)
             if isinstance(outcome, Done):
                 confirmed.append(outcome)
     return Plan(
         tuple(todo),
         tuple(done),
-        tuple(adopted),
         tuple(confirmed),
         tuple(refused),
         n_beyond_limit=n_beyond_limit,
@@ -264,11 +255,12 @@ def _decide(
     entry: Entry | None,
     settings: BatchSettings,
 ) -> Planned | Done | None:
-    """Return the plan for a file; or the outcome to adopt or confirm; or None if it is done."""
+    """Return the plan for a file; or the outcome to confirm; or None if it is done."""
     written = _stat(task.output)
     if entry is None or not entry.owns_output:
         if written is not None and not settings.overwrite:
-            return _decide_foreign(file, task, written, settings)
+            problem = "exists already, and no journal knows it"
+            raise OutputExistsError(str(task.output), problem, "move it away, or --overwrite")
         return Planned(task, "new" if entry is None else "failed before", file.size)
     reason, confirmed = _compare(file, task, entry, written, settings)
     if reason is None:
@@ -289,21 +281,6 @@ def _decide(
     return Planned(
         replace(task, overwrite=True), reason, file.size, keeps and not settings.overwrite
     )
-
-
-def _decide_foreign(
-    file: InputFile, task: Task, written: os.stat_result, settings: BatchSettings
-) -> Planned | Done:
-    # an output that no journal knows
-    input_print = InputPrint(file.size, file.mtime_ns, None)
-    outcome = recorded_outcome(task, input_print, written) if settings.adopt else None
-    if outcome is None:
-        raise _foreign(task.output, adopt=settings.adopt)
-    if not is_whole(task.output, written, outcome):
-        return Planned(replace(task, overwrite=True), "changed output", file.size, keeps=True)
-    if _accepts_other_doubts(outcome, task.config.config, __version__):
-        return Planned(replace(task, overwrite=True), "changed config", file.size)
-    return outcome
 
 
 def _has_other_source(file: InputFile, entry: Entry) -> bool:
@@ -332,13 +309,11 @@ def _compare(
         return "unfinished", None
     if not isinstance(before, Done) or entry.state == "failed":
         return "failed before", None
-    if entry.version not in (__version__, *settings.keep_versions):
+    if entry.version != __version__:
         return "changed version", None
-    # versions may differ in their configuration keys, so hashes are compared only within one
-    # version
-    if entry.version == __version__ and entry.config_sha256 != task.config_sha256:
+    if entry.config_sha256 != task.config_sha256:
         return "changed config", None
-    if _accepts_other_doubts(before, task.config.config, entry.version):
+    if _accepts_other_doubts(before, task.config.config):
         return "changed config", None
     if not is_of_drive(before.notices, task.drive_files):
         return "changed drive", None
@@ -360,12 +335,12 @@ def _compare(
     return None, None if confirmed == before else confirmed
 
 
-def _accepts_other_doubts(done: Done, config: RunConfig, version: str) -> bool:
+def _accepts_other_doubts(done: Done, config: RunConfig) -> bool:
     """Check whether the configuration now accepts a doubt of the output, or no longer does."""
     now = set(accepted_by(config.input))
     doubts = {doubt.check for doubt in done.doubts}
     then = {check for notice in done.notices if (check := accepted_doubt_of(notice)) is not None}
-    return bool(doubts & now) or (version == __version__ and not then <= now)
+    return bool(doubts & now) or not then <= now
 
 
 def _stat(output: Path) -> os.stat_result | None:
@@ -376,17 +351,6 @@ def _stat(output: Path) -> os.stat_result | None:
         return output.lstat()
     except (FileNotFoundError, NotADirectoryError):
         return None
-
-
-def _foreign(output: Path, *, adopt: bool) -> OutputExistsError:
-    problem = "exists already, and no journal knows it"
-    if adopt:
-        problem += (
-            f"; {record_path(output).name} does not say that it was made of this input like this"
-        )
-    return OutputExistsError(
-        str(output), problem, "move it away, or --overwrite" + ("" if adopt else ", or --adopt")
-    )
 
 
 def _is_changed(

@@ -170,18 +170,8 @@ class _BatchRun:
         due = {item.task.name for item in plan.todo}
         for name in sorted(plan.archive.intersection(known) - due):
             self._doubt(known[name])
-        for task, done in plan.adopted:
-            self._journal.start(task, self._owner)
-            self._journal.finish(done)
-            self._doubt(done)
         for done in plan.confirmed:
             self._journal.finish(done)
-        if plan.adopted:
-            n = len(plan.adopted)
-            self._note(
-                f"{n} output{'' if n == 1 else 's'} taken as done: "
-                "made of the same input in the same way"
-            )
         for failed in plan.refused:
             entry = self._journal.entry(failed.name)
             # a done file stays done: perhaps only its trajectory is missing tonight
@@ -302,7 +292,7 @@ class _BatchRun:
         settings = self._settings
         if settings.reference is None:
             return None
-        names = {*plan.done, *(done.name for _, done in plan.adopted)}
+        names = set(plan.done)
         names |= {name for name, outcome in self._outcomes.items() if isinstance(outcome, Done)}
         self._note(f"{len(names)} outputs are compared with {settings.reference.tree}")
         outputs = []
@@ -337,7 +327,7 @@ class _BatchRun:
             finished=datetime.now(UTC).isoformat(timespec="seconds"),
             seconds=time.monotonic() - self._clock,
             n_found=plan.n_found,
-            n_skipped=len(plan.done) + len(plan.adopted),
+            n_skipped=len(plan.done),
             done=tuple(item for item in outcomes if isinstance(item, Done)),
             failed=tuple(item for item in outcomes if isinstance(item, Failed)),
             failed_before=tuple(item for item in before if isinstance(item, Failed)),

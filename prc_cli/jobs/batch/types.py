@@ -155,11 +155,9 @@ class BatchSettings:
     retry: int = 0
     fail_fast: bool = False
     overwrite: bool = False
-    adopt: bool = False
     verify: bool = False
     stall_s: float = 600.0
     """A file fails after this time without progress [s]."""
     memory_limit_mib: int | None = None
     reference: ReferenceSettings | None = None
     drift: bool = True
-    keep_versions: tuple[str, ...] = ()

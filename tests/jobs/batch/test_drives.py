@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from prc_cli.cli import cli
-from prc_cli.config import load_config
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.batch import run as batch_run
 from prc_cli.jobs.batch.discovery import Drives, discover
@@ -176,18 +175,6 @@ def test_streams_before_a_gap_stay_where_a_later_one_fails(tmp_path: Path) -> No
     again = run_batch(settings, Here())
     assert [done.name for done in again.done] == []
     assert {failed.name for failed in again.failed} == {part.name for part in parts}
-
-
-def test_outputs_of_the_same_drive_are_adopted(settings: BatchSettings) -> None:
-    parts = sorted(settings.archive.glob("*.bin"))
-    list(classify_drive(parts, settings.out, load_config(preset="urban", options=LAYERS.options)))
-    refused = plan_batch(settings)[0].refused
-    assert len(refused) == 3
-    assert "exists already" in refused[2].problem.problem
-    plan = plan_batch(replace(settings, adopt=True))[0]
-    assert (len(plan.adopted), plan.todo) == (3, ())
-    # not as files by themselves
-    assert len(plan_batch(replace(settings, adopt=True, drives=()))[0].refused) == 3
 
 
 def test_drives_are_selected_as_a_whole(settings: BatchSettings) -> None:

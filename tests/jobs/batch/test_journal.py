@@ -204,7 +204,7 @@ def test_a_damaged_journal_is_one_clear_error(folder: Path, how: str) -> None:
         with pytest.raises(OutputError, match="is no whole journal") as caught:
             action()
         assert f"mv {path} {path}.damaged" in caught.value.hint
-        assert "--adopt" in caught.value.hint
+        assert "--overwrite" in caught.value.hint
         assert "\n" not in str(caught.value)
     assert path.read_bytes() == content
 
@@ -366,7 +366,7 @@ def test_a_row_that_makes_no_sense_is_damage(folder: Path, change: str) -> None:
         with pytest.raises(OutputError, match="a row makes no sense"):
             journal.entry("a")
     with pytest.raises(
-        OutputError, match=r"a row makes no sense: .*; move it away \(mv .* --adopt"
+        OutputError, match=r"a row makes no sense: .*; move it away \(mv .* --overwrite"
     ):
         read_entries(folder)
 

@@ -16,7 +16,6 @@ from pathlib import Path
 import pytest
 
 from prc_cli import __version__
-from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.formats.writing.record import fingerprint
 from prc_cli.jobs.batch import discovery
@@ -25,10 +24,8 @@ from prc_cli.jobs.batch.discovery import Patterns, discover
 from prc_cli.jobs.batch.journal import Entry, State
 from prc_cli.jobs.batch.outcomes import Done, Failed, InputPrint, Problem
 from prc_cli.jobs.batch.plan import Plan, make_plan
-from prc_cli.jobs.batch.types import OWN_FOLDER, BatchSettings, ConfigLayers, Task
-from prc_cli.jobs.batch.worker import run_task
+from prc_cli.jobs.batch.types import OWN_FOLDER, BatchSettings, ConfigLayers
 from tests.patience import HANGS_S
-from tests.street import street, write_npz
 
 
 @pytest.fixture
@@ -133,36 +130,6 @@ def test_an_output_that_no_journal_knows_is_not_touched(settings: BatchSettings)
     assert "no journal knows it" in refusals(plan_of(settings, refused))["a.npz"]
     assert reasons(plan_of(replace(settings, overwrite=True)))["a.npz"] == "new"
     assert plan_of(replace(settings, overwrite=True)).todo[0].task.overwrite
-
-
-def test_adopting_needs_the_same_input_configuration_and_program(tmp_path: Path) -> None:
-    settings = BatchSettings(tmp_path / "in", tmp_path / "out", adopt=True)
-    (tmp_path / "in").mkdir()
-    source = write_npz(tmp_path / "in" / "a.npz", street(80))
-    written = output(settings, "a.npz")
-    done = run_task(Task("a.npz", source, written, LoadedConfig(RunConfig()), ""))
-    assert isinstance(done, Done), done
-    plan = plan_of(settings)
-    assert plan.todo == ()
-    ((_, adopted),) = plan.adopted
-    assert adopted.input == done.input
-    assert (adopted.n_lines, adopted.n_shots, adopted.n_records) == (
-        done.n_lines,
-        done.n_shots,
-        done.n_records,
-    )
-    assert {name: count for name, count in adopted.labels if count} == {
-        n: count for n, count in done.labels if count
-    }
-    refused = replace(entry(settings, "a.npz", "failed"), owns_output=False)
-    assert len(plan_of(settings, refused).adopted) == 1
-    forest = replace(settings, config=ConfigLayers(preset="forest"))
-    assert "does not say" in refusals(plan_of(forest))["a.npz"]
-    write_npz(source, street(81))
-    assert "does not say" in refusals(plan_of(settings))["a.npz"]
-    for nonsense in (b"", b"[]", b"{}", b"[" * 100_000, b"\xff", b'{"program": 1e999}'):
-        Path(f"{written}.prc.json").write_bytes(nonsense)
-        assert "does not say" in refusals(plan_of(settings))["a.npz"]
 
 
 # -- configuration

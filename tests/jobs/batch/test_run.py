@@ -348,11 +348,6 @@ def test_evidence_against_a_file_fails_it_and_doubts_can_be_accepted(tmp_path: P
         "shuffled.npy"
     ] == 1
     assert summary.exit_code == 1
-    # what was classified one by one is adopted with its doubts
-    shutil.rmtree(settings.out / OWN_FOLDER)
-    adopted = run_batch(replace(settings, adopt=True, exclude=("shuffled.npy",)), Scripted(work))
-    assert (adopted.done, adopted.exit_code) == ((), 4)
-    assert adopted.doubts == summary.doubts
     accepting = ConfigLayers(options={"input": {"accept_doubts": CHECK_NAMES}})
     accepted = run_batch(replace(settings, config=accepting), Scripted(work))
     # only those that have one are done again
@@ -364,9 +359,7 @@ def test_evidence_against_a_file_fails_it_and_doubts_can_be_accepted(tmp_path: P
 
 
 @pytest.mark.parametrize("damage", ["cut", "overwritten", "link"])
-@pytest.mark.parametrize("journal", [True, False])
-def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str, journal: bool) -> None:
-    """With a journal every run sees it; without one ``--adopt`` does."""
+def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str) -> None:
     archive = tmp_path / "in"
     out = tmp_path / "out"
     archive.mkdir()
@@ -385,11 +378,9 @@ def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str, journal: bool
     else:
         output.unlink()
         output.symlink_to("nothing")
-    if not journal:
-        shutil.rmtree(out / OWN_FOLDER)
     states = {verified.name: verified.state for verified in verify_outputs(out)}
     assert states == {"a.npz.labels.npy": "damaged", "b.npz.labels.npy": "whole"}
-    summary = run_batch(replace(settings, adopt=True), Scripted(work))
+    summary = run_batch(settings, Scripted(work))
     assert ([item.name for item in summary.done], summary.n_skipped, summary.exit_code) == (
         ["a.npz"],
         1,
