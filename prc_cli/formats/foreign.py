@@ -39,6 +39,10 @@ _ARCHIVES = {
 _SHEETS = (".xlsx", ".xls", ".ods", ".numbers")
 _LIVOX = (".lvx", ".lvx2", ".lvx3")
 _PATHS = (".sbet", ".out", ".pos")
+_FEATHER = (
+    'python -c "from pyarrow import csv, feather; csv.write_csv(feather.read_table({name}), {out})"'
+)
+_UOS = 'awk \'BEGIN {{print "x,y,z"}} {{print $1/100 "," $3/100 "," $2/100}}\' {name} > {out}'
 _ROW = (
     'python -c "import numpy, scipy.io; '
     "numpy.savez({out}, range_m=scipy.io.loadmat({name})['NAME'])\""
@@ -78,6 +82,8 @@ def hint_of(path: Path) -> str | None:
         return "a recording of Livox, whose scan has no lines: prc does not support it"
     if suffix in _PATHS:
         return f"a trajectory: give it beside the scan, --range trajectory:{shlex.quote(str(path))}"
+    if suffix in (".feather", ".3d"):
+        return _as_csv(path)
     if suffix == ".mat":
         row = _ROW.format(out=repr(f"{path.stem}.npz"), name=repr(path.name))
         write = f"write its ranges (lines x shots) as .npz, {row}"
@@ -93,3 +99,13 @@ def hint_of(path: Path) -> str | None:
             "a compressed file: unpack it first; only .csv and .txt are read compressed (.gz, .zst)"
         )
     return None
+
+
+def _as_csv(path: Path) -> str:
+    """Return a hint how to write a file of Arrow or of 3DTK as CSV."""
+    table = f"{path.stem}.csv"
+    if path.suffix.lower() == ".feather":
+        write = _FEATHER.format(name=repr(path.name), out=repr(table))
+        return f"a table of Arrow: write it as CSV, {write}"
+    write = _UOS.format(name=shlex.quote(path.name), out=shlex.quote(table))
+    return f"a scan of 3DTK: write it as CSV in metres with z up, {write}"

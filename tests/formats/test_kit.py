@@ -21,7 +21,6 @@ SAMPLES = (
     "a.npy",
     "a.npz",
     "a.csv.gz",
-    "a.3d",
     "a.ply",
     "text.ply",
     "lzf.pcd",

@@ -1,4 +1,4 @@
-"""PTX, 3DTK and echo pulse files."""
+"""PTX and echo pulse files."""
 
 from __future__ import annotations
 
@@ -268,16 +268,6 @@ def test_memory_does_not_grow_with_the_file(
             path = write_e57(tmp_path / "a.e57", [Scan(reordered(fields, order))])
         peaks.append(peak_bytes(path))
     assert peaks[2] < 1.3 * peaks[1] + 50_000
-
-
-@pytest.mark.data
-def test_the_sample_of_3dtk(real_data: Path) -> None:
-    rules = InputConfig(points_per_line=360, range="sensor-xyz", max_range=32.7)
-    stream = open_input(Input.of(real_data / "organised" / "scan000.3d"), rules)
-    block = join(list(stream.blocks()))
-    assert block.range_m.shape == (226, 360)
-    assert np.isnan(block.range_m).sum() == 1481
-    assert np.nanmax(block.range_m) < 32.7
 
 
 ECHOES = "echo-float32-range.bin"

@@ -587,7 +587,6 @@ MUTATIONS: dict[str, tuple[Mutation, ...]] = {
     ".npz": (*PLAIN, *(zip_member,) * 6),
     ".csv": TEXT,
     ".txt": TEXT,
-    ".3d": TEXT,
     ".xyz": TEXT,
     ".pts": TEXT,
     ".ply": (*PLAIN, *(head_word,) * 8),

@@ -255,7 +255,7 @@ def _sbet() -> bytes:
     return rows.astype("<f8").tobytes()
 
 
-def _uos() -> bytes:
+def _coordinates() -> bytes:
     points = _flat()
     return "".join(
         f"{x:.3f} {y:.3f} {z:.3f}\n"
@@ -528,7 +528,6 @@ SEEDS: dict[str, Callable[[], bytes]] = {
     "a.csv.gz": lambda: gzip.compress(_csv(), mtime=0),
     "a.csv.zst": lambda: _zst(_csv()),
     "a.txt": lambda: _csv().replace(b",", b" "),
-    "a.3d": _uos,
     "a.bin": _raw,
     "a.ply": lambda: cloud_files.ply(_cloud(), comments=("offset Pos 1.0 2.0 0.0",)),
     "big.ply": lambda: cloud_files.ply(_cloud(), "binary_big_endian"),
@@ -537,8 +536,8 @@ SEEDS: dict[str, Callable[[], bytes]] = {
     "a.pcd": lambda: cloud_files.pcd(_cloud(with_nan=True), height=N_LINES),
     "text.pcd": lambda: cloud_files.pcd(_cloud(), "ascii"),
     "lzf.pcd": lambda: cloud_files.pcd(_cloud(with_nan=True), "binary_compressed", height=N_LINES),
-    "a.xyz": lambda: _uos().replace(b".", b","),
-    "a.pts": lambda: b"%d\n" % len(_flat()["x"]) + _uos(),
+    "a.xyz": lambda: _coordinates().replace(b".", b","),
+    "a.pts": lambda: b"%d\n" % len(_flat()["x"]) + _coordinates(),
     "f4.bin": lambda: ranges().tobytes(),
     "a.npy": lambda: _npy(ranges()),
     "fortran.npy": lambda: _npy(np.asfortranarray(ranges())),

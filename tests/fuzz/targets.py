@@ -19,7 +19,6 @@ INPUTS = {
     "gz": ("a.csv.gz",),
     "zst": ("a.csv.zst",),
     "txt": ("a.txt",),
-    "uos": ("a.3d",),
     "ply": ("a.ply", "big.ply", "text.ply", "rings.ply"),
     "pcd": ("a.pcd", "text.pcd", "lzf.pcd"),
     "clouds": ("a.xyz", "a.pts"),
@@ -43,7 +42,7 @@ _UPRIGHT = (
     "--lines",
     "elevation:20",
 )
-TAKEN = {"uos": ("info", "{case}"), "clouds": _UPRIGHT, "copc": ("info", "{case}")}
+TAKEN = {"clouds": _UPRIGHT, "copc": ("info", "{case}")}
 """First commands of inputs that :data:`LABELLED` refuses sound.
 
 It names no lines, no columns, no ranges.

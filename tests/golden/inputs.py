@@ -221,7 +221,7 @@ def _las(
 
 
 def _organised(folder: Path, range_m: Array) -> None:
-    """Write a static scan as PTX (twice in one file), 3DTK and a frame of rings."""
+    """Write a static scan as PTX (twice in one file) and a frame of rings."""
     elevation = np.linspace(-70, 80, M)
     azimuth = np.deg2rad(np.linspace(0, 100, N_LINES))[:, None]
     rise = np.deg2rad(elevation)[None, :]
@@ -235,20 +235,5 @@ def _organised(folder: Path, range_m: Array) -> None:
     scan = f"{N_LINES}\n{M}\n0 0 0\n{identity}0 0 0 1\n{rows}"
     (folder / "scan.ptx").write_text(scan)
     (folder / "two.ptx").write_text(scan + scan.replace("0 0 0 1\n", "1 2 3 1\n", 1))
-    points = np.where(
-        r[..., None] > 0,
-        xyz,
-        40
-        * np.stack(
-            np.broadcast_arrays(
-                np.cos(rise) * np.cos(azimuth), np.cos(rise) * np.sin(azimuth), np.sin(rise)
-            ),
-            axis=-1,
-        ),
-    )
-    left = np.stack([-points[..., 1], points[..., 2], points[..., 0]], axis=-1) * 100
-    rows = "".join("{:.3f} {:.3f} {:.3f}\n".format(*point) for point in left.reshape(-1, 3))
-    (folder / "scan000.3d").write_text(rows)
-    (folder / "scan000.pose").write_text("0 0 0\n0 0 0\n")
     rings = np.concatenate([xyz[:, ::2].transpose(1, 0, 2), np.ones((M // 2, N_LINES, 1))], axis=-1)
     rings.astype("<f4").tofile(folder / "rings.bin")

@@ -246,10 +246,6 @@ def test_scanners_missing_lines_and_further_returns(tmp_path: Path, suffix: str)
     ("name", "inputs"),
     [
         ("organised/pumpA.e57", {}),
-        (
-            "organised/scan000.3d",
-            {"points_per_line": 360, "range_": "sensor-xyz", "max_range": 32.7},
-        ),
         ("oakland/oakland_1.csv.gz", {}),
         ("forest/tls_park.npz", {}),
     ],

@@ -1,4 +1,4 @@
-"""Tables: arrays, Parquet and Feather read by column; CSV and Parquet written by row."""
+"""Tables: arrays and Parquet read by column; CSV and Parquet written by row."""
 
 from prc_cli.formats.registry import Format
 
@@ -13,5 +13,4 @@ FORMATS = (
         codes=(".parquet",),
         open_codes="prc_cli.formats.tables.codes:open_parquet_codes",
     ),
-    Format(name="Feather", scans=(".feather",), records="prc_cli.formats.tables.read:FeatherTable"),
 )

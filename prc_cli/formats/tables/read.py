@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.facts import KnownRule, SourceFacts
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import suffix_of
 from prc_cli.core.process import bounded
 from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.names import usual_names
-from prc_cli.formats.options import Layout, LayoutField, decode
+from prc_cli.formats.options import LayoutField, decode
 from prc_cli.formats.records import Reading, RecordChunk, Source, nearest_first
 from prc_cli.formats.registry import by_suffix
 
@@ -26,11 +26,6 @@ BUFFER_BYTES = 1 << 20
 """Bytes of a column of a Parquet file read at a time."""
 CHUNK_RECORDS = 1 << 19
 """Records read at a time."""
-_FEATHER_1 = b"FEA1"
-_REWRITE = (
-    'write it in version 2: python -c "import pyarrow.feather as f; '
-    "f.write_feather(f.read_table('IN'), 'OUT')\""
-)
 AXES = ("x", "y", "z")
 XYZ = "xyz"
 
@@ -142,7 +137,7 @@ class ParquetTable:
             names = schema.names
             kinds = schema.types
         except (pa.ArrowException, OSError, ValueError) as error:
-            raise _damaged(self._path, error, self.format) from error
+            raise _damaged(self._path, error) from error
         numbers = []
         for name, kind in zip(names, kinds, strict=True):
             stored = kind.value_type if pa.types.is_dictionary(kind) else kind
@@ -168,7 +163,7 @@ class ParquetTable:
         stored = tuple(dict.fromkeys(self._columns[name] for name in names))
         first = 0
         try:
-            for batch in self._batches(stored):
+            for batch in read_batches(self._path, stored):
                 read = {name: _numbers(batch.column(name)) for name in stored}
                 values = {
                     name: _decoded(read[self._columns[name]], self._units.get(name))
@@ -177,7 +172,7 @@ class ParquetTable:
                 yield RecordChunk(first, values, batch.num_rows)
                 first += batch.num_rows
         except (pa.ArrowException, OSError, ValueError) as error:
-            raise _damaged(self._path, error, self.format) from error
+            raise _damaged(self._path, error) from error
 
     def with_reading(self, reading: Reading) -> ParquetTable:
         """Return the source, which has one way of reading."""
@@ -188,43 +183,6 @@ class ParquetTable:
 
         with parquet.ParquetFile(self._path) as file:
             return file.schema_arrow, int(file.metadata.num_rows)
-
-    def _batches(self, columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
-        return read_batches(self._path, columns)
-
-
-class FeatherTable(ParquetTable):
-    """Reader of the numeric columns of a Feather file; rings beside x, y, z are a frame."""
-
-    format = "Feather"
-    """Reader name."""
-
-    def __init__(self, path: Path, layout: Layout | None = None) -> None:
-        super().__init__(path)
-        if {"ring", *AXES} <= set(self.dimensions):
-            why = "the points have a ring, and x, y, z"
-            self.facts = SourceFacts(rules=(KnownRule("lines", "rings", why),))
-
-    def _measure(self) -> tuple[pa.Schema, int]:
-        with self._open() as file:
-            return file.schema, sum(
-                file.get_batch(k).num_rows for k in range(file.num_record_batches)
-            )
-
-    def _batches(self, columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
-        with self._open() as file:
-            yield from bounded(
-                self._path,
-                (file.get_batch(k).select(columns) for k in range(file.num_record_batches)),
-            )
-
-    def _open(self) -> pa.RecordBatchFileReader:
-        import pyarrow as pa
-
-        with self._path.open("rb") as file:
-            if file.read(len(_FEATHER_1)) == _FEATHER_1:
-                raise InputError(str(self._path), "a Feather file of version 1", _REWRITE)
-        return pa.ipc.open_file(pa.memory_map(str(self._path)))
 
 
 _Place = TypeVar("_Place")
@@ -273,6 +231,8 @@ def _check_names(source: Source, names: tuple[str, ...]) -> None:
         )
 
 
-def _damaged(path: Path, error: Exception, form: str = "Parquet") -> InputError:
+def _damaged(path: Path, error: Exception) -> InputError:
     text = " ".join(str(error).split())[:160]
-    return InputError(str(path), f"no whole {form} file ({text})", "copy it from the archive again")
+    return InputError(
+        str(path), f"no whole Parquet file ({text})", "copy it from the archive again"
+    )

@@ -20,6 +20,5 @@ FORMATS = (
         codes=(*_TABLE, ".txt", ".txt.gz", ".txt.zst"),
         open_codes="prc_cli.formats.text.codes:open_text_codes",
     ),
-    Format(name="3DTK", scans=(".3d",), records="prc_cli.formats.text.read:open_uos"),
     Format(name="bare coordinates", scans=(".xyz", ".asc", ".pts"), records=_TEXT, has_layout=True),
 )

@@ -37,17 +37,6 @@ PARSERS = 2
 """Blocks parsed at a time: more need memory and take cores from the classifier."""
 CLOUD_SUFFIXES = (".xyz", ".asc", ".pts")
 """Files whose first columns are x, y, z where they have no names."""
-UOS = Layout(
-    delimiter=BLANKS,
-    # left-handed, y up, z forward: swap y and z for a right-handed frame with z up
-    fields=tuple(
-        LayoutField(name=axis, source=index, scale=0.01) for index, axis in enumerate("xzy")
-    ),
-)
-"""Scans of 3DTK, one point per row, columns x, y, z in centimetres.
-
-Relative to the scanner in metres, z up.
-"""
 
 
 class TextBody:
@@ -388,10 +377,3 @@ class TextSource(FieldSource):
             and text.n_columns == 1,
         }
         return tuple(note for note, holds in holds_by_note.items() if holds)
-
-
-def open_uos(path: Path, layout: Layout | None) -> TextSource:
-    """Open a scan of 3DTK; a layout without fields only gives line length and frequency."""
-    layout = UOS if layout is None else layout
-    fields = {} if layout.fields else {"fields": UOS.fields, "delimiter": UOS.delimiter}
-    return TextSource(path, layout.model_copy(update=fields))
