@@ -23,7 +23,7 @@ from prc_cli.methods.prc.pipeline import PrcParams
 from prc_cli.methods.prc.support import stream_window
 from prc_cli.reference.prc import stages as oracle
 from prc_cli.simulation.settings import load_settings, open_simulation
-from tests.oracles import prc_method as oracle_prc
+from tests.methods.prc import paper
 
 ROUNDS = 7
 """Rounds; each runs every job once, so that other load affects all. The best time counts."""
@@ -90,7 +90,7 @@ def main() -> None:
     target = np.empty_like(ranges)
     urban = load_config(preset="urban").config
     forest = load_config(preset="forest").config
-    settings = oracle_prc.Settings(k=urban.prc.lines_per_block)
+    settings = paper.Settings(k=urban.prc.lines_per_block)
     cores = default_threads()
     jobs: dict[str, tuple[Callable[[], object], int]] = {
         "copy of the ranges": (lambda: np.copyto(target, ranges), ranges.size),
@@ -113,7 +113,7 @@ def main() -> None:
     )
     times = list(best_times(jobs, ROUNDS))
     times += best_times(
-        {"oracle, urban": (lambda: oracle_prc.classify_stream(piece, settings), piece.size)}, 1
+        {"oracle, urban": (lambda: paper.classify_stream(piece, settings), piece.size)}, 1
     )
     base = times[-1][1]
     print(

@@ -1,9 +1,9 @@
 """The only home of compiled loops.
 
 ``__init__.pyi`` is the one table of kernels, for type checkers and for
-:mod:`prc_cli.kernels.loading`. Every kernel has a slow and obvious twin of the same name and
-arguments in :mod:`prc_cli.reference` or ``tests/oracles``; a test walks the table and compares them
-bit for bit. A kernel is loaded when it is first used, ``kernels.support_mask(...)``, so that
+:mod:`prc_cli.kernels.loading`. Every kernel of a published method has a slow and obvious
+twin of the same name and arguments in :mod:`prc_cli.reference`; a test compares them bit for bit.
+A kernel is loaded when it is first used, ``kernels.support_mask(...)``, so that
 reading a configuration does not load the compiler.
 """
 

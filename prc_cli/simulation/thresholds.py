@@ -1,4 +1,4 @@
-"""Records that the simulator's loops and their slow twins share: sensor, bodies, hits."""
+"""Records of the simulator's loops: sensor, bodies, hits."""
 
 from __future__ import annotations
 

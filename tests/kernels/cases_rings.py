@@ -137,7 +137,8 @@ def filled(rng: Generator) -> tuple[Any, ...]:
 
 def measure_case(rng: Generator) -> tuple[Any, ...]:
     levels, sums, where, grid, _ = filled(rng)
-    return grid, where, sums, levels, CELLS
+    # sums of Python's loops differ in their last digits
+    return grid, where, np.round(sums * 4096) / 4096, levels, CELLS
 
 
 def mean_case(rng: Generator) -> tuple[Any, ...]:

@@ -1,6 +1,6 @@
-"""Every kernel against its slow twin, bit for bit, on data with many ties.
+"""The loops of both papers against their slow twins, bit for bit, on data with many ties.
 
-Twins share no code with kernels.
+Twins share no code with kernels. Loops of our own methods have none: see ``test_digests``.
 """
 
 from __future__ import annotations
@@ -26,16 +26,7 @@ from prc_cli.core.types import F32, I32, Mask
 from prc_cli.kernels import KERNELS, load_kernels
 from prc_cli.reference.prc import stages as oracle
 from tests import patience
-from tests.kernels import (
-    cases_angles,
-    cases_car,
-    cases_casting,
-    cases_fused,
-    cases_ground,
-    cases_rings,
-    cases_simulation,
-    cases_stems,
-)
+from tests.kernels import cases_angles, cases_car, cases_ground, digests
 from tests.kernels.twins import assert_equal_bits, twin, twin_module
 
 SHAPES = [(1, 1), (1, 2), (2, 1), (7, 1), (1, 9), (3, 2), (4, 3), (5, 5), (2, 17), (9, 40)]
@@ -182,20 +173,14 @@ CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     "select_components": select_case,
     "label_components": label_case,
     "support_mask": support_case,
-    **cases_angles.CASES_OF_CALIBRATION,
     **cases_angles.CASES,
     **cases_ground.CASES,
     **cases_car.CASES,
-    **cases_casting.CASES,
-    **cases_fused.CASES,
     **cases_angles.CASES_OF_LINES,
-    **cases_rings.CASES,
-    **cases_simulation.CASES,
-    **cases_stems.CASES,
 }
 LEAST = 60
 """Cases of every loop, more until both sides were seen; the long test takes all."""
-MOST = {"hmm_cusum": 100, "main_height": 200, "cast_shots": 200}
+MOST = {"hmm_cusum": 100, "main_height": 200}
 """Cases where they are not 400.
 
 Of twins that take as long as those of all other kernels together.
@@ -241,11 +226,12 @@ def test_support_limit_is_exact_at_the_float32_beside_zeta(zeta: float, steps: i
     assert bool(supported[0, 4]) == (float(difference) < zeta)
 
 
-def test_every_kernel_has_a_twin_of_the_same_arguments() -> None:
+def test_every_kernel_of_a_paper_has_a_twin_of_the_same_arguments() -> None:
     load_kernels()
-    assert set(CASES) == set(KERNELS), "every kernel needs test data"
-    for name, module in KERNELS.items():
-        function = getattr(import_module(module), name)
+    assert {*CASES, *digests.CASES} == set(KERNELS), "every kernel needs test data"
+    assert not set(CASES) & set(digests.CASES)
+    for name in CASES:
+        function = getattr(import_module(KERNELS[name]), name)
         plain = getattr(function, "py_func", function)
         assert [*inspect.signature(plain).parameters] == [
             *inspect.signature(twin(name)).parameters
@@ -327,16 +313,10 @@ def test_an_engine_holds_in_its_context_and_in_its_thread() -> None:
 
 
 ROOT = Path(__file__).resolve().parents[2]
-TWINS = sorted(
-    path
-    for folder in ("prc_cli/reference", "tests/oracles")
-    for path in (ROOT / folder).rglob("*.py")
-)
+TWINS = sorted([*(ROOT / "prc_cli/reference").rglob("*.py"), ROOT / "tests/methods/prc/paper.py"])
 ALLOWED = (
     "prc_cli.core",
     "prc_cli.reference",
-    "prc_cli.methods.fused.records",
-    "tests.oracles",
     "numpy",
     "scipy",
     "skimage",
@@ -347,10 +327,7 @@ Import-linter sees to it.
 """
 
 
-THRESHOLDS = tuple(
-    f"prc_cli.{room}.thresholds."
-    for room in ("methods.fused", "methods.rings", "methods.sequential_angle", "simulation")
-)
+THRESHOLDS = "prc_cli.methods.sequential_angle.thresholds."
 
 
 def imported(path: Path) -> Iterator[str]:
@@ -385,7 +362,7 @@ def test_a_twin_imports_neither_kernel_nor_stage(path: Path) -> None:
 
 
 def test_the_twin_of_every_kernel_is_looked_at() -> None:
-    assert {Path(str(twin_module(name).__file__)) for name in KERNELS} <= set(TWINS)
+    assert {Path(str(twin_module(name).__file__)) for name in CASES} <= set(TWINS)
 
 
 @pytest.mark.parametrize("module", sorted(set(KERNELS.values())))

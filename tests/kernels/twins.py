@@ -3,30 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
 from importlib import import_module
-from importlib.util import find_spec
 from types import ModuleType
 from typing import Any, get_type_hints
 
 import numpy as np
 
-from prc_cli.core.errors import ConfigError
-from prc_cli.kernels import KERNELS
-from prc_cli.kernels.loading import reference_home, short_name
+from prc_cli.kernels.loading import reference_home
 
 
 def twin_module(name: str) -> ModuleType:
-    """Return the module of a kernel's twin.
-
-    In the reference where a paper describes it, else in ``tests/oracles``.
-    """
-    with suppress(ConfigError):
-        return import_module(reference_home(name))
-    method, module = short_name(KERNELS[name]).split(".")
-    return import_module(
-        f"tests.oracles.{module if find_spec(f'tests.oracles.{module}') else f'{method}_{module}'}"
-    )
+    """Return the module of a kernel's twin, where a paper describes it."""
+    return import_module(reference_home(name))
 
 
 def twin(name: str) -> Any:

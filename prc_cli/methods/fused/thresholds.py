@@ -1,6 +1,6 @@
 """All limits of the fused classifier, by name.
 
-The loops, their slow twins and ``prc explain`` read them.
+The loops and ``prc explain`` read them.
 
 The loops of the street compute in float32, those of the forest in float64, and their limits are of
 that type. docs/fused.md says what each is worth.

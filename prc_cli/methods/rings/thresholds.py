@@ -1,6 +1,6 @@
 """All limits of the method for rings, by name.
 
-What the loops, their slow twins and ``prc explain`` read.
+The loops and ``prc explain`` read them.
 
 The loops compute in float64. docs/rings.md says what the limits were chosen on.
 """

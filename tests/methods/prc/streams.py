@@ -17,7 +17,7 @@ from prc_cli.methods.prc.pipeline import (
     initial_state,
 )
 from prc_cli.methods.prc.surfaces import area_threshold
-from tests.oracles.prc_method import Settings
+from tests.methods.prc.paper import Settings
 
 TIGHT_LOOK_AHEAD = {1: 4, 2: 2}
 """Lines of look-ahead that suffice for very short scan lines; two for all others."""

@@ -24,8 +24,8 @@ from prc_cli.methods.prc.support import (
     support,
     window_reach,
 )
+from tests.methods.prc import paper
 from tests.methods.prc.streams import random_params, random_stream, run_stream, to_settings
-from tests.oracles import prc_method as oracle_prc
 
 
 def assert_equals_oracle(seed: int) -> set[int]:
@@ -33,7 +33,7 @@ def assert_equals_oracle(seed: int) -> set[int]:
     params = random_params(rng)
     stream = random_stream(rng)
     labels, segments = run_stream(stream, params)
-    expected_labels, expected_segments = oracle_prc.classify_stream(
+    expected_labels, expected_segments = paper.classify_stream(
         stream, to_settings(params, stream.shape[1])
     )
     np.testing.assert_array_equal(labels, expected_labels)
@@ -86,7 +86,7 @@ def test_pipeline_equals_the_oracle_at_the_published_parameters() -> None:
         ),
     ):
         labels, segments = run_stream(image, params)
-        expected = oracle_prc.classify_stream(image, to_settings(params, 400))
+        expected = paper.classify_stream(image, to_settings(params, 400))
         np.testing.assert_array_equal(labels, expected[0])
         np.testing.assert_array_equal(segments, expected[1])
         assert len(np.unique(labels)) >= 4

@@ -1,0 +1,184 @@
+"""What loops of our own methods give in random cases: ``python -m tests.kernels.digests check``.
+
+No paper describes these loops, so nothing independent says what is right: scenes by hand do
+(``tests/methods``, ``tests/simulation``). Digests say that nothing changed, on the edges and ties
+that scenes lack, compiled or as Python. Every case has two hexadecimal digits for its arguments,
+two for the whole numbers of its outputs (labels, counts, shapes, where floats are missing), and one
+sum of its floats. Sums may differ in their last digits, as sines do between machines; a case whose
+arguments already differ is left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+
+from prc_cli import kernels
+from tests.kernels import (
+    cases_angles,
+    cases_casting,
+    cases_fused,
+    cases_rings,
+    cases_simulation,
+    cases_stems,
+)
+
+CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
+    **cases_angles.CASES_OF_CALIBRATION,
+    **cases_casting.CASES,
+    **cases_fused.CASES,
+    **cases_rings.CASES,
+    **cases_simulation.CASES,
+    **cases_stems.CASES,
+}
+"""Random arguments of every loop that no paper describes."""
+
+FILE = Path(__file__).with_name("digests.json")
+SEED = 20190
+N_CASES = 100
+MANTISSA = 2.0**36
+"""Steps of arguments between two powers of two."""
+TOLERANCE = 1e-4
+LEAST_EQUAL = 0.5
+"""Least share of cases with the arguments of the machine that made the digests."""
+
+
+@dataclass(frozen=True)
+class Digests:
+    """What is kept of the cases of one loop; no sums where no output is a float."""
+
+    arguments: str
+    outputs: str
+    sums: Sequence[float]
+
+    @property
+    def n_cases(self) -> int:
+        return len(self.arguments) // 2
+
+    def of_arguments(self, number: int) -> str:
+        return self.arguments[2 * number : 2 * number + 2]
+
+    def of_outputs(self, number: int) -> tuple[str, float]:
+        digits = self.outputs[2 * number : 2 * number + 2]
+        return digits, self.sums[number] if self.sums else 0.0
+
+
+def arrays(value: Any) -> Iterator[np.ndarray[Any, Any]]:
+    """Yield what tuples of tuples hold."""
+    if isinstance(value, tuple):
+        for part in value:
+            yield from arrays(part)
+    else:
+        yield np.asarray(value)
+
+
+def rounded(value: Any) -> Any:
+    """Round floats of double precision in arguments: the last digits of sines differ by machine."""
+    if isinstance(value, tuple):
+        parts = [rounded(part) for part in value]
+        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
+    if isinstance(value, np.ndarray) and value.dtype == np.float64:
+        mantissa, exponent = np.frexp(value)
+        return np.ldexp(np.round(mantissa * MANTISSA) / MANTISSA, exponent)
+    return value
+
+
+def whole_digits(values: Any, *, with_floats: bool) -> str:
+    """Return two digits of shapes, types, whole numbers and missing floats, or of all numbers."""
+    digest = 0
+    for array in arrays(values):
+        digest = zlib.crc32(f"{array.dtype} {array.shape}".encode(), digest)
+        if array.dtype.kind == "f" and not with_floats:
+            array = np.isnan(array)
+        elif array.dtype.kind == "f":
+            array = np.where(np.isnan(array), array.dtype.type(np.nan), array)  # of any sign
+        digest = zlib.crc32(np.ascontiguousarray(array).tobytes(), digest)
+    return f"{digest & 0xFF:02x}"
+
+
+def float_sum(values: Any) -> float:
+    """Return the sum of the logarithms of all floats, with weights that tell places apart."""
+    total = 0.0
+    for array in arrays(values):
+        if array.dtype.kind == "f" and array.size:
+            numbers = np.nan_to_num(array.astype(np.float64).ravel(), nan=0.5, posinf=1e30)
+            weights = 1 + np.arange(array.size) % 97 / 97
+            total += float((np.sign(numbers) * np.log1p(np.abs(numbers)) * weights).sum())
+    return round(total, 5)
+
+
+def digests(name: str, n_cases: int) -> Digests:
+    """Run a loop on its cases."""
+    rng = np.random.default_rng(SEED)
+    cases = [rounded(CASES[name](rng)) for _ in range(n_cases)]
+    arguments = [whole_digits(case, with_floats=True) for case in cases]
+    with np.errstate(all="ignore"):  # which loops that run as Python warn of
+        outputs = [getattr(kernels, name)(*case) for case in cases]
+    sums = [float_sum(output) for output in outputs]
+    return Digests(
+        "".join(arguments),
+        "".join(whole_digits(output, with_floats=False) for output in outputs),
+        sums if any(sums) else [],
+    )
+
+
+def kept() -> dict[str, Digests]:
+    """Return the digests of the file, by loop."""
+    table = json.loads(FILE.read_text(encoding="utf-8"))
+    return {name: Digests(**row) for name, row in table.items()}
+
+
+def changed_cases(before: Digests, now: Digests) -> list[int]:
+    """Return the numbers of the cases whose outputs changed, of those with equal arguments."""
+    equal = [n for n in range(before.n_cases) if before.of_arguments(n) == now.of_arguments(n)]
+    if len(equal) < LEAST_EQUAL * before.n_cases:
+        return [n for n in range(before.n_cases) if n not in equal]
+    return [n for n in equal if _differ(before.of_outputs(n), now.of_outputs(n))]
+
+
+def _differ(before: tuple[str, float], now: tuple[str, float]) -> bool:
+    return before[0] != now[0] or abs(before[1] - now[1]) > TOLERANCE
+
+
+def changes(names: Sequence[str]) -> list[str]:
+    """Return a line for every loop whose outputs changed."""
+    table = kept()
+    lines = []
+    for name in names:
+        changed = changed_cases(table[name], digests(name, table[name].n_cases))
+        if changed:
+            lines.append(f"{name}: {len(changed)} cases changed, the first ones {changed[:5]}")
+    return lines
+
+
+def make() -> None:
+    """Write the file, a line for every loop."""
+    rows = [f'"{name}": {json.dumps(vars(digests(name, N_CASES)))}' for name in sorted(CASES)]
+    FILE.write_text("{\n" + ",\n".join(rows) + "\n}\n", encoding="utf-8")
+
+
+def main() -> int:
+    """Make the digests, or check them and print what changed."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("action", choices=("make", "check"))
+    parser.add_argument("names", nargs="*", default=sorted(CASES), help="loops to check")
+    arguments = parser.parse_args()
+    if arguments.action == "make":
+        make()
+        return 0
+    lines = changes(arguments.names)
+    sys.stdout.write("\n".join([*(lines or ["no loop changed"]), ""]))
+    return 1 if lines else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
