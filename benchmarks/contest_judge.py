@@ -13,10 +13,11 @@ from scipy.spatial import cKDTree
 
 from benchmarks.contest_data import Scan
 from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.errors import ConfigError
 from prc_cli.core.types import F64, I64
-from prc_cli.evaluation.confusion import GroupedCounts, cells_of
+from prc_cli.evaluation.confusion import ConfusionMatrix, GroupedCounts, cells_of
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
-from prc_cli.evaluation.scores import all_scores
+from prc_cli.evaluation.scores import gate_value, scores
 
 FOLDER = Path(__file__).resolve().parent
 MAPPINGS = {
@@ -100,13 +101,19 @@ class Verdict:
 
         NaN if undefined.
         """
-        scores = all_scores(self.counts[None], self.rows, self.columns)
-        return float(scores[name][0]) if name in scores else float("nan")
+        try:
+            return gate_value(scores(self._matrix), name)
+        except ConfigError:
+            return float("nan")
 
     def f1(self) -> dict[str, float]:
         """Return the F1 of the classes that exist."""
-        scores = all_scores(self.counts[None], self.rows, self.columns)
-        return {name: float(scores[f"f1.{name}"][0]) for name in self.present}
+        by_name = scores(self._matrix).by_name
+        return {name: by_name[name].f1 for name in self.present}
+
+    @property
+    def _matrix(self) -> ConfusionMatrix:
+        return ConfusionMatrix(self.rows, self.columns, self.counts)
 
     @property
     def macro(self) -> float:

@@ -4,7 +4,7 @@ Undefined scores are NaN, never 0. The last part compares three labellings of th
 predicted and third against the reference, and against each other.
 
 To add a score of the whole matrix: a line in :data:`OVERALL_SCORES`, a field of :class:`Scores`,
-its formula in :func:`all_scores`. All reports show it then.
+its formula in :func:`_values_of`. All reports show it then.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def scores(matrix: ConfusionMatrix) -> Scores:
     Classes of one side only have counts and no scores.
     """
     counts = matrix.counts
-    values = all_scores(counts[None], matrix.reference_names, matrix.predicted_names)
+    values = _values_of(counts[None], matrix.reference_names, matrix.predicted_names)
     n_reference = dict(zip(matrix.reference_names, counts.sum(axis=1).tolist(), strict=True))
     n_predicted = dict(zip(matrix.predicted_names, counts.sum(axis=0).tolist(), strict=True))
     shared = matrix.scored_names
@@ -119,7 +119,7 @@ def scores(matrix: ConfusionMatrix) -> Scores:
     )
 
 
-def all_scores(
+def _values_of(
     counts: NDArray[np.integer], reference_names: tuple[str, ...], predicted_names: tuple[str, ...]
 ) -> dict[str, F64]:
     """Compute every score of many confusion matrices at once.
@@ -233,9 +233,9 @@ def block_intervals(
     total = blocks.sum(axis=0)
     n_at_once = max(1, _AT_ONCE // total.size)
     starts = range(0, n, n_at_once)
-    parts = [all_scores(total - blocks[k : k + n_at_once], *names) for k in starts]
+    parts = [_values_of(total - blocks[k : k + n_at_once], *names) for k in starts]
     intervals = {}
-    for name, values in all_scores(total[None], *names).items():
+    for name, values in _values_of(total[None], *names).items():
         centre = float(values[0])
         left_out = np.concatenate([part[name] for part in parts])
         error = float(np.sqrt((n - 1) / n * np.sum((left_out - left_out.mean()) ** 2)))
