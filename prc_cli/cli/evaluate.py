@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -23,13 +24,20 @@ from prc_cli.cli.options import (
     window_options,
 )
 from prc_cli.cli.output import console, print_table, print_text, results
-from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN
+from prc_cli.cli.paths import NAMED, READ, READ_TEXT, WRITTEN
 from prc_cli.core.errors import ConfigError, ExitCode, InputError
 from prc_cli.core.files import atomic_output, open_to_read, prepare_outputs, whole_set
 from prc_cli.core.window import Window, parse_window
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.html import as_html, check_picture
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
+from prc_cli.evaluation.methods import (
+    ComparedMethods,
+    methods_csv,
+    methods_html,
+    methods_json,
+    methods_markdown,
+)
 from prc_cli.evaluation.reports import (
     NO_INTERVALS,
     as_csv,
@@ -55,7 +63,8 @@ from prc_cli.evaluation.scores import (
     scores,
 )
 from prc_cli.jobs.evaluate import evaluate_all
-from prc_cli.jobs.evaluate.options import EvaluateOptions, mapping_of_runs
+from prc_cli.jobs.evaluate.methods import evaluate_methods, named_files
+from prc_cli.jobs.evaluate.options import EvaluateOptions, mapping_of_methods, mapping_of_runs
 from prc_cli.jobs.evaluate.pictures import class_pictures
 from prc_cli.jobs.render.colours import origin
 from prc_cli.matching.pairs import files_of
@@ -259,16 +268,18 @@ _OPTIONS = [
 
 
 @click.command(cls=Sectioned)
-@click.argument("predicted", type=READ)
-@click.argument("reference", type=READ)
+@click.argument("paths", metavar="PREDICTED... REFERENCE", nargs=-1, required=True, type=NAMED)
 @add_options(*_OPTIONS)
 @window_options
-def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
+def evaluate(paths: tuple[tuple[str, Path], ...], **options: Any) -> None:
     """Compare PREDICTED with REFERENCE, record by record.
 
     Both contain class codes: .npy, .csv(.gz), .parquet, .label, .las or .laz. Text and Parquet may
     contain class names instead. If both are folders, prc compares files of the same name (with any
     suffix) in one matrix. The result goes to stdout, and to the files of --output.
+
+    With several PREDICTED, prc compares each with REFERENCE, and prints one table: a column for
+    each method. Its name comes from the run record, or from NAME=FILE.
 
     If the records are in different orders, use --match. A reference that was classified after
     registration (CAR) needs --match nearest.
@@ -276,6 +287,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     \b
     Examples:
       prc evaluate labels.npy reference.npy
+      prc evaluate urban.npy fused.npy old=2023.npy reference.npy --intervals
       prc evaluate labels.npy oakland_1.csv.gz --mapping oakland --fail-under recall.ground=0.9
       prc evaluate run/ reference/ --mapping oakland --intervals -M 229 --output report.html
       prc evaluate classified.laz car.laz --match nearest --unmatched noise --mapping asprs
@@ -283,30 +295,108 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
         --trajectory path.csv --mount 0,25,0
     """
     form = form_of(options)
-    how = _how(options)
-    left, right = zip((predicted, reference), *options["pairs"], strict=True)
-    name = options["mapping"]
-    why = ""
-    if not name:
-        name, why = mapping_of_runs(files_of(left), files_of(right), how.reference_dimension)
-    mapping = load_mapping(name)
-    gate_list = [parse_gate(text, mapping) for text in options["gates"]]
-    for path in options["outputs"]:
+    *predicted, (_, reference) = paths
+    if not predicted:
+        message = "Missing argument 'REFERENCE'."
+        raise click.UsageError(message)
+    outputs: tuple[Path, ...] = options["outputs"]
+    for path in outputs:
         if path.suffix.lower() not in FORMS:
             problem = f"found the suffix {path.suffix!r}, expected one of: {' '.join(FORMS)}"
             raise ConfigError(str(path), problem, "choose a name with one of these suffixes")
-    if options["outputs"]:
-        inputs = tuple(files_of((*left, *right)))
-        prepare_outputs(*options["outputs"], overwrite=options["overwrite"], inputs=inputs)
-    page_wanted = form == "html" or any(
-        path.suffix.lower() == ".html" for path in options["outputs"]
-    )
+    if outputs:
+        pairs = [path for pair in options["pairs"] for path in pair]
+        inputs = tuple(files_of((*(path for _, path in paths), *pairs)))
+        prepare_outputs(*outputs, overwrite=options["overwrite"], inputs=inputs)
+    if len(predicted) > 1:
+        report = _compare_methods(predicted, reference, options)
+    else:
+        report = _compare_one(predicted[0][1], reference, options)
+    texts = [report.text(FORMS[path.suffix.lower()]) for path in outputs]
+    with whole_set():
+        for path, text in zip(outputs, texts, strict=True):
+            with atomic_output(path, overwrite=options["overwrite"]) as temporary:
+                temporary.write_text(text, encoding="utf-8", newline="\n")
+    if form != "table":
+        print_text(report.text(form))
+    elif not options["quiet"]:
+        report.print()
+    if report.chosen_mapping and not options["quiet"]:
+        line = f"mapping: {report.chosen_mapping}; --mapping names another"
+        console().print(line, markup=False, soft_wrap=True)
+    refuse_failed(report.all_gates)
+    if report.has_doubts:
+        raise SystemExit(ExitCode.LOOK)
+
+
+def _compare_one(predicted: Path, reference: Path, options: Mapping[str, Any]) -> _Report:
+    how = _how(options)
+    left, right = zip((predicted, reference), *options["pairs"], strict=True)
+    name = options["mapping"]
+    chosen = ""
+    if not name:
+        name, why = mapping_of_runs(files_of(left), files_of(right), how.reference_dimension)
+        chosen = f"{name} ({why})" if why else ""
+    mapping = load_mapping(name)
+    gate_list = [parse_gate(text, mapping) for text in options["gates"]]
+    page_wanted = _is_page_wanted(options)
     pictures = _read_pictures(options["pictures"], wanted=page_wanted)
     evaluation = evaluate_all(left, right, name, options=how)
+    if page_wanted:
+        pictures = (*_class_pictures(evaluation, mapping, how), *pictures)
     gates = check_gates(scores(evaluation.matrix), gate_list)
+    return _OneReport(mapping, chosen, pictures, evaluation, gates)
+
+
+def _compare_methods(
+    predicted: Sequence[tuple[str, Path]], reference: Path, options: Mapping[str, Any]
+) -> _Report:
+    _refuse_for_one(options)
+    how = _how(options)
+    name = options["mapping"]
+    chosen = ""
+    if not name:
+        sides = [files_of([path]) for _, path in predicted]
+        name, why = mapping_of_methods(sides, files_of([reference]), how.reference_dimension)
+        chosen = f"{name} ({why})" if why else ""
+    mapping = load_mapping(name)
+    gate_list = [parse_gate(text, mapping) for text in options["gates"]]
+    pictures = _read_pictures(options["pictures"], wanted=_is_page_wanted(options))
+    methods = evaluate_methods(named_files(predicted), reference, name, options=how)
+    gates = {
+        method: check_gates(scores(evaluation.matrix), gate_list)
+        for method, evaluation in methods.evaluations.items()
+    }
+    return _MethodsReport(mapping, chosen, pictures, methods, gates)
+
+
+def _is_page_wanted(options: Mapping[str, Any]) -> bool:
+    suffixes = {path.suffix.lower() for path in options["outputs"]}
+    return form_of(options) == "html" or ".html" in suffixes
+
+
+def _refuse_for_one(options: Mapping[str, Any]) -> None:
+    """Refuse options that compare one prediction with the reference."""
+    splits = ("split_range_m", "split_lines", "split_scanner", "split_confidence")
+    flags = {"pairs": "--pair", "third": "--third"}
+    flags |= {name: f"--by-{name.split('_')[1]}" for name in splits}
+    for name, flag in flags.items():
+        if options.get(name):
+            problem = "several predicted files, expected one with this option"
+            raise ConfigError(flag, problem, "give one PREDICTED, or leave the option out")
+
+
+def _class_pictures(
+    evaluation: Evaluation, mapping: ClassMapping, how: EvaluateOptions
+) -> Pictures:
+    """Return the pictures of an evaluation for its page."""
+    pictures: list[tuple[str, bytes]] = []
+    if evaluation.plan is not None:
+        title = "From above: where predicted and third are right and wrong"
+        pictures.append((title, evaluation.plan))
     # pictures of the classes show the first lines
-    if page_wanted and evaluation.match.method == "order" and how.window is None:
-        first_lines = class_pictures(
+    if evaluation.match.method == "order" and how.window is None:
+        pictures += class_pictures(
             Path(evaluation.predicted[0]),
             Path(evaluation.reference[0]),
             mapping,
@@ -314,53 +404,120 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
             (how.predicted_dimension, how.reference_dimension),
             (how.predicted_points, how.reference_points),
         )
-        pictures = (*first_lines, *pictures)
-    if evaluation.plan is not None:
-        title = "From above: where predicted and third are right and wrong"
-        pictures = ((title, evaluation.plan), *pictures)
-    texts = [
-        _text(FORMS[path.suffix.lower()], evaluation, gates, mapping, pictures)
-        for path in options["outputs"]
-    ]
-    with whole_set():
-        for path, text in zip(options["outputs"], texts, strict=True):
-            with atomic_output(path, overwrite=options["overwrite"]) as temporary:
-                temporary.write_text(text, encoding="utf-8", newline="\n")
-    if form != "table":
-        print_text(_text(form, evaluation, gates, mapping, pictures))
-    elif not options["quiet"]:
+    return pictures
+
+
+@dataclass(frozen=True)
+class _Report(ABC):
+    """The result of the command, in every form."""
+
+    mapping: ClassMapping
+    chosen_mapping: str
+    """Name of the preset and why prc chose it; empty for a given mapping."""
+    pictures: Pictures
+
+    @property
+    @abstractmethod
+    def all_gates(self) -> tuple[GateResult, ...]:
+        """All gates and the scores found."""
+
+    @property
+    @abstractmethod
+    def has_doubts(self) -> bool:
+        """Whether there are reasons to doubt the comparison."""
+
+    @abstractmethod
+    def text(self, form: str) -> str:
+        """Return the result as ``html``, ``csv``, ``json`` or ``markdown``."""
+
+    @abstractmethod
+    def print(self) -> None:
+        """Print tables on stdout."""
+
+
+@dataclass(frozen=True)
+class _OneReport(_Report):
+    """The reports of one evaluation."""
+
+    evaluation: Evaluation
+    gates: tuple[GateResult, ...]
+
+    @property
+    def all_gates(self) -> tuple[GateResult, ...]:
+        return self.gates
+
+    @property
+    def has_doubts(self) -> bool:
+        return bool(doubts(self.evaluation))
+
+    def text(self, form: str) -> str:
+        evaluation = self.evaluation
+        if form == "html":
+            return as_html(
+                evaluation,
+                self.gates,
+                mapping=self.mapping,
+                pictures=self.pictures,
+                origin=origin([Path(name) for name in evaluation.predicted]),
+            )
+        if form == "csv":
+            return as_csv(evaluation)
+        if form == "json":
+            return as_json(evaluation, self.all_gates) + "\n"
+        return as_markdown(evaluation, self.all_gates)
+
+    def print(self) -> None:
+        evaluation = self.evaluation
         print_evaluation(evaluation.matrix, scores(evaluation.matrix), evaluation.intervals)
-        print_evaluation_details(evaluation, gates)
-    if why and not options["quiet"]:
-        console().print(
-            f"mapping: {name} ({why}); --mapping names another", markup=False, soft_wrap=True
+        print_evaluation_details(evaluation, self.all_gates)
+
+
+@dataclass(frozen=True)
+class _MethodsReport(_Report):
+    """The reports of several methods."""
+
+    methods: ComparedMethods
+    gates: Mapping[str, tuple[GateResult, ...]]
+
+    @property
+    def all_gates(self) -> tuple[GateResult, ...]:
+        return tuple(
+            replace(gate, name=f"{method}: {gate.name}")
+            for method, gates in self.gates.items()
+            for gate in gates
         )
-    refuse_failed(gates)
-    if doubts(evaluation):
-        raise SystemExit(ExitCode.LOOK)
+
+    @property
+    def has_doubts(self) -> bool:
+        return any(doubts(evaluation) for evaluation in self.methods.evaluations.values())
+
+    def text(self, form: str) -> str:
+        if form == "html":
+            evaluations = self.methods.evaluations.values()
+            files = [Path(name) for one in evaluations for name in one.predicted]
+            return methods_html(
+                self.methods, self.gates, pictures=self.pictures, origin=origin(files)
+            )
+        if form == "csv":
+            return methods_csv(self.methods)
+        if form == "json":
+            return methods_json(self.methods, self.gates) + "\n"
+        return methods_markdown(self.methods)
+
+    def print(self) -> None:
+        header, rows = self.methods.table()
+        print_table("methods against the reference", header, rows, n_words=2)
+        print_gates(self.all_gates)
+        for method, evaluation in self.methods.evaluations.items():
+            results().print(f"{method}: {match_line(evaluation.match)}")
+            for note in (*evaluation.match.notes, *doubts(evaluation)):
+                results().print(f"  {note}")
+        used = (one.interval_method for one in self.methods.evaluations.values())
+        for method in dict.fromkeys(filter(None, used)):
+            results().print(f"intervals: {method}")
 
 
-def _text(
-    form: str,
-    evaluation: Evaluation,
-    gates: Sequence[GateResult],
-    mapping: ClassMapping,
-    pictures: Pictures,
-) -> str:
-    if form == "html":
-        return as_html(
-            evaluation,
-            gates,
-            mapping=mapping,
-            pictures=pictures,
-            origin=origin([Path(name) for name in evaluation.predicted]),
-        )
-    if form == "csv":
-        return as_csv(evaluation)
-    return as_json(evaluation, gates) + "\n" if form == "json" else as_markdown(evaluation, gates)
-
-
-def _how(options: dict[str, Any]) -> EvaluateOptions:
+def _how(options: Mapping[str, Any]) -> EvaluateOptions:
     explicit = {
         item.name: options[item.name] for item in fields(EvaluateOptions) if item.name in options
     }
@@ -396,7 +553,7 @@ def _heights(text: str | None) -> tuple[float, float] | None:
 _WINDOWS = ("only_lines", "only_time", "first")
 
 
-def _window(options: dict[str, Any]) -> Window | None:
+def _window(options: Mapping[str, Any]) -> Window | None:
     flags = {
         f"--{name.replace('_', '-')}": options[f"window_{name.rpartition('_')[2]}"]
         for name in _WINDOWS
@@ -496,12 +653,17 @@ def print_evaluation_details(evaluation: Evaluation, gates: Sequence[GateResult]
         print_table("three labellings", *evaluation.three.table())
         for sentence in evaluation.three.sentences():
             results().print(sentence)
+    print_gates(gates)
+    results().print(match_line(evaluation.match))
+    for note in (*evaluation.match.notes, *doubts(evaluation)):
+        results().print(note)
+
+
+def print_gates(gates: Sequence[GateResult]) -> None:
+    """Print gates and the scores found, on stdout."""
     for gate in gates:
         name, limit, value = gate_cells(gate)
         results().print(
             f"{name}: found {value}, expected at least {limit}: "
             f"{'passed' if gate.passed else 'failed'}"
         )
-    results().print(match_line(evaluation.match))
-    for note in (*evaluation.match.notes, *doubts(evaluation)):
-        results().print(note)

@@ -38,6 +38,19 @@ class ReadPath(click.Path):
         return path
 
 
+class NamedPath(ReadPath):
+    """A file or folder that the command reads, with a name if wanted: ``NAME=FILE``."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the name, empty without one, and the path, declared."""
+        text = os.fsdecode(value)
+        name, equals, file = text.partition("=")
+        # a file name may contain the separator itself
+        if not equals or not file or Path(text).exists():
+            return "", super().convert(text, param, ctx)
+        return name.strip(), super().convert(file, param, ctx)
+
+
 class ScanPath(ReadPath):
     """Name of an input: a file, or a folder that is one recording."""
 
@@ -88,6 +101,7 @@ class WriteText(click.types.StringParamType):
 
 
 READ = ReadPath()
+NAMED = NamedPath()
 WRITTEN = WritePath()
 READ_TEXT = ReadText()
 WRITTEN_TEXT = WriteText()

@@ -137,8 +137,8 @@ def as_markdown(comparison: Comparison, gates: Iterable[GateResult] = ()) -> str
     ]
     parts = [
         "Reference in rows, predicted in columns: records (share of the row).",
-        _table(["reference", *shown.predicted_names, "sum"], matrix_rows),
-        _table(
+        markdown_table(["reference", *shown.predicted_names, "sum"], matrix_rows),
+        markdown_table(
             ["class", *CLASS_SCORES],
             [score_row(class_scores, intervals) for class_scores in matrix_scores.classes],
         ),
@@ -149,7 +149,7 @@ def as_markdown(comparison: Comparison, gates: Iterable[GateResult] = ()) -> str
         parts += _evaluation_blocks(comparison, shown)
     if gate_results := list(gates):
         rows = [[*gate_cells(gate), "passed" if gate.passed else "failed"] for gate in gate_results]
-        parts.append(_table(["gate", "expected at least", "found", ""], rows))
+        parts.append(markdown_table(["gate", "expected at least", "found", ""], rows))
     return "\n\n".join(parts) + "\n"
 
 
@@ -349,24 +349,24 @@ def _limits(intervals: Mapping[str, Interval], names: Iterable[str]) -> list[str
 
 def _evaluation_blocks(evaluation: Evaluation, shown: ConfusionMatrix) -> Iterator[str]:
     if evaluation.intervals:
-        yield f"Intervals: {_plain(evaluation.interval_method)}."
+        yield f"Intervals: {plain(evaluation.interval_method)}."
     for split, parts in evaluation.splits.items():
-        yield f"By {_plain(split)}:"
+        yield f"By {plain(split)}:"
         header, rows = split_table(parts, shown)
-        yield _table(header, rows)
+        yield markdown_table(header, rows)
     if evaluation.three is not None:
         yield "Three labellings:"
-        yield _table(*evaluation.three.table())
-        yield from map(_plain, evaluation.three.sentences())
+        yield markdown_table(*evaluation.three.table())
+        yield from map(plain, evaluation.three.sentences())
     yield match_line(evaluation.match).replace(
-        evaluation.match.method, _plain(evaluation.match.method)
+        evaluation.match.method, plain(evaluation.match.method)
     )
-    yield from (_plain(note) for note in (*evaluation.match.notes, *doubts(evaluation)))
-    predicted = ", ".join(map(_plain, evaluation.predicted))
-    reference = ", ".join(map(_plain, evaluation.reference))
+    yield from (plain(note) for note in (*evaluation.match.notes, *doubts(evaluation)))
+    predicted = ", ".join(map(plain, evaluation.predicted))
+    reference = ", ".join(map(plain, evaluation.reference))
     yield (
         f"Files: predicted {predicted}; reference {reference}. "
-        f"Class mapping: {_plain(evaluation.mapping)}."
+        f"Class mapping: {plain(evaluation.mapping)}."
     )
 
 
@@ -384,12 +384,12 @@ def score_row(
     ]
 
 
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a Markdown table, the first column left-aligned, padded like plain text."""
-    header = [_plain(cell) for cell in header]
-    rows = [[_plain(cell) for cell in row] for row in rows]
+def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]], n_words: int = 1) -> str:
+    """Return a Markdown table, ``n_words`` columns left-aligned, padded like plain text."""
+    header = [plain(cell) for cell in header]
+    rows = [[plain(cell) for cell in row] for row in rows]
     widths = [max(4, *(len(row[i]) for row in (header, *rows))) for i in range(len(header))]
-    pad = [(cell_width, "<" if i == 0 else ">") for i, cell_width in enumerate(widths)]
+    pad = [(cell_width, "<" if i < n_words else ">") for i, cell_width in enumerate(widths)]
     lines = [
         " | ".join(f"{cell:{side}{width}}" for cell, (width, side) in zip(r, pad, strict=True))
         for r in rows
@@ -403,10 +403,10 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(f"| {line} |" for line in (head, rule, *lines))
 
 
-def _plain(text: str) -> str:
+def plain(text: str) -> str:
     r"""Return text of users so that Markdown shows it as it is, on one line.
 
-    >>> _plain("a_b|c\n.npy")
+    >>> plain("a_b|c\n.npy")
     'a\\_b\\|c .npy'
     """
     return _SPECIAL.sub(

@@ -561,9 +561,28 @@ def _hint_for_registered(left: Side, right: Side) -> str:
     points = ""
     if not set(AXES) <= set(left.dimensions):
         points = " --predicted-points INPUT, the file that was classified"
+    elif _share_area(left, right):
+        files = f"{left.files[0].codes.path} {right.files[0].codes.path}"
+        return f"both have coordinates of one area: prc evaluate {files} --match nearest"
     hint = f"if {right.path} holds registered points (CAR), add --match nearest{points}"
     times = {SECONDS} <= {*left.dimensions} & {*right.dimensions}
     return f"{hint}; if both hold times of one clock: --match time" if times else hint
+
+
+def _share_area(left: Side, right: Side) -> bool:
+    """Return whether the coordinates of two sides overlap in the plan; reads both."""
+    boxes = []
+    for side in (left, right):
+        low = np.full(2, np.inf)
+        high = np.full(2, -np.inf)
+        for chunk in side.chunks(("x", "y")):
+            places = np.stack([chunk.values["x"], chunk.values["y"]])
+            places = places[:, np.isfinite(places).all(axis=0)]
+            low = np.minimum(low, places.min(axis=1, initial=np.inf))
+            high = np.maximum(high, places.max(axis=1, initial=-np.inf))
+        boxes.append((low, high))
+    (low, high), (other_low, other_high) = boxes
+    return bool((low <= other_high).all() and (other_low <= high).all())
 
 
 def _length_of(side: Side) -> int | None:

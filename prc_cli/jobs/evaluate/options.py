@@ -213,6 +213,26 @@ def mapping_of_runs(
     return name, ", ".join(why)
 
 
+def mapping_of_methods(
+    predicted: Sequence[Sequence[Path]], reference: Sequence[Path], dimension: str | None = None
+) -> tuple[str, str]:
+    """Choose the preset that has the classes of several methods; return its name and the reason.
+
+    ``predicted`` has the files of every method.
+    """
+    choices = [mapping_of_runs(files, reference, dimension) for files in predicted]
+    name, why = min(choices, key=lambda choice: _fineness(choice[0]))
+    if all(other == name for other, _ in choices):
+        return name, why
+    return name, "it has the classes of all methods"
+
+
+def _fineness(preset: str) -> int:
+    if preset.startswith("street_scan"):
+        return 0
+    return 2 if preset.startswith("street") else 1
+
+
 def _preset_of_files(paths: Sequence[Path]) -> tuple[str, str]:
     # preset and method; the default preset if the methods differ
     presets = {_preset_of_file(path) for path in paths}

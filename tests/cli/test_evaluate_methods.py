@@ -1,0 +1,138 @@
+"""`prc evaluate PREDICTED... REFERENCE`: several methods in one table."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prc_cli.evaluation.confusion import ConfusionMatrix
+from prc_cli.evaluation.methods import ComparedMethods, methods_markdown
+from prc_cli.evaluation.scores import Evaluation, MatchReport
+from tests.cli.conftest import Prc
+from tests.evaluation.test_paper_tables import FOREST, STREET, TABLE_1, TABLE_I, TABLE_II
+
+CODES = (7, 2, 5, 6)
+OTHER = 65
+
+
+@pytest.fixture(scope="module")
+def table_i(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write both methods of Table I of Lehtola et al. (2019), and their reference."""
+    folder = tmp_path_factory.mktemp("table_i")
+    np.save(folder / "car.npy", np.repeat((*CODES, OTHER), 1000).astype(np.uint8))
+    for zeta_p, rows in TABLE_I.items():
+        codes = []
+        for row in rows:
+            bounds = np.rint(1000 * np.cumsum(row) / sum(row)).astype(int)
+            codes.append(np.repeat(CODES, np.diff(bounds, prepend=0)))
+        np.save(folder / f"zeta_{zeta_p}.npy", np.concatenate(codes).astype(np.uint8))
+    return folder
+
+
+def arguments(folder: Path) -> list[str]:
+    names = [f"PRC {zeta_p}={folder / f'zeta_{zeta_p}.npy'}" for zeta_p in TABLE_I]
+    return ["evaluate", *names, str(folder / "car.npy"), "--mapping", "lehtola_urban"]
+
+
+def test_table_i_has_a_column_for_each_method(prc: Prc, table_i: Path) -> None:
+    done = prc(*arguments(table_i))
+    assert done.code == 0
+    rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in done.out.splitlines()]
+    recalls = [row[1:] for row in rows if row and row[0] == "recall"]
+    assert [name for name, *_ in recalls] == ["noise", "ground", "vegetation", "building"]
+    for k, (_, *cells) in enumerate(recalls):
+        # the printed shares of a row add up to .999 or 1.001
+        printed = [TABLE_I[zeta_p][k][k] for zeta_p in TABLE_I]
+        assert [float(cell) for cell in cells] == pytest.approx(printed, abs=0.0011)
+
+
+def test_confusion_of_both_papers_is_printed(prc: Prc, table_i: Path) -> None:
+    text = prc(*arguments(table_i), "--format", "markdown").out
+    lines = [" ".join(line.split()) for line in text.splitlines()]
+    for shares in TABLE_I.values():
+        for row in shares:
+            cells = [f"{share / sum(row):.3f}" for share in row]
+            assert any(line.endswith(f"{' | '.join(cells)} |") for line in lines)
+    evaluations = {
+        name: Evaluation((name,), ("hand",), "own", MatchReport("order", 1, 1, 1), matrix, {}, {})
+        for name, matrix in (
+            ("forest", ConfusionMatrix(FOREST, FOREST, TABLE_II)),
+            ("street", ConfusionMatrix(STREET, STREET, TABLE_1)),
+        )
+    }
+    _, rows = ComparedMethods({"forest": evaluations["forest"]}).table()
+    by_name = {(row[0], row[1]): row[2] for row in rows}
+    assert (by_name["precision", "stem"], by_name["precision", "ground"]) == ("0.580", "0.913")
+    header, rows = ComparedMethods({"street": evaluations["street"]}).table()
+    by_name = {(row[0], row[1]): row[2] for row in rows}
+    assert header == ["score", "class", "street"]
+    assert (by_name["recall", "car"], by_name["precision", "vertical"]) == ("0.866", "0.980")
+    assert "0.866" in methods_markdown(ComparedMethods({"street": evaluations["street"]}))
+
+
+def test_every_cell_is_that_of_a_single_run(prc: Prc, table_i: Path) -> None:
+    table = json.loads(prc(*arguments(table_i), "--json", "--intervals", "-M", "5").out)
+    lines = list(csv.DictReader(prc(*arguments(table_i), "--format", "csv").out.splitlines()))
+    for zeta_p in TABLE_I:
+        labels = str(table_i / f"zeta_{zeta_p}.npy")
+        single = ("evaluate", labels, str(table_i / "car.npy"), "--mapping", "lehtola_urban")
+        alone = json.loads(prc(*single, "--json", "--intervals", "-M", "5").out)
+        assert table["methods"][f"PRC {zeta_p}"] == alone
+        assert alone["intervals"]
+        rows = [dict(row) for row in lines if row["method"] == f"PRC {zeta_p}"]
+        for row in rows:
+            del row["method"]
+        assert rows == list(csv.DictReader(prc(*single, "--format", "csv").out.splitlines()))
+
+
+def test_page_has_every_method(prc: Prc, table_i: Path, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    assert prc(*arguments(table_i), "--output", str(page), "-q").code == 0
+    text = page.read_text(encoding="utf-8")
+    assert text.count("<h2>PRC ") == 2
+    assert "<b>0.964</b>" in text
+    assert 'src="http' not in text
+
+
+def test_names_come_from_records_names_and_files(prc: Prc, table_i: Path, tmp_path: Path) -> None:
+    labels = np.load(table_i / "zeta_0.1.npy")
+    for name in ("monday", "tuesday", "by_hand"):
+        np.save(tmp_path / f"{name}.npy", labels)
+    record = {"program": "prc-cli", "config": {"method": "prc"}, "assumptions": []}
+    for name in ("monday", "tuesday"):
+        (tmp_path / f"{name}.npy.prc.json").write_text(json.dumps(record), encoding="utf-8")
+    files = [str(tmp_path / f"{name}.npy") for name in ("monday", "tuesday", "by_hand")]
+    ends = [str(table_i / "car.npy"), "--mapping", "lehtola_urban", "--json"]
+    names = list(json.loads(prc("evaluate", *files, *ends).out)["methods"])
+    assert names == ["prc (monday)", "prc (tuesday)", "by_hand"]
+    twice = prc("evaluate", f"a={files[0]}", f"a={files[1]}", *ends)
+    assert twice.code == 2
+    assert f"NAME={files[1]}" in twice.err
+
+
+@pytest.mark.parametrize("option", [("--third", "car.npy"), ("--by-range", "5,10")])
+def test_options_for_one_prediction_are_refused(
+    prc: Prc, table_i: Path, option: tuple[str, str]
+) -> None:
+    name, value = option
+    value = str(table_i / value) if name == "--third" else value
+    done = prc(*arguments(table_i), name, value)
+    assert done.code == 2
+    assert "expected one" in done.err
+
+
+def test_gates_hold_for_every_method(prc: Prc, table_i: Path) -> None:
+    done = prc(*arguments(table_i), "--fail-under", "recall.ground=0.9")
+    assert done.code == 3
+    assert "PRC 0.1: recall.ground" in done.err
+    assert "PRC 1.0" not in done.err
+
+
+def test_one_file_is_refused(prc: Prc, table_i: Path) -> None:
+    done = prc("evaluate", str(table_i / "car.npy"))
+    assert done.code == 2
+    assert "REFERENCE" in done.err
