@@ -19,7 +19,7 @@ from prc_cli.simulation.settings import Kind, load_settings, open_simulation
 
 LINES = 900
 WARM = 300
-"""Lines at the start that are not counted, while kernels load and the block fills."""
+"""Lines at the start that are not counted, while loops load and the block fills."""
 JOBS: tuple[tuple[str, Kind, str, str, int], ...] = (
     ("urban, blocks of 99 lines, M 2154", "street", "photon-80", "urban", 99),
     ("urban, blocks of 16 lines", "street", "photon-80", "urban", 16),

@@ -13,13 +13,13 @@ from functools import partial
 import numpy as np
 
 from prc_cli.config import load_config
+from prc_cli.core.loops import load_loops
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.threads import default_threads
 from prc_cli.core.types import F32
 from prc_cli.jobs.classify import classify_ranges, label_blocks
-from prc_cli.kernels import load_kernels
 from prc_cli.methods.base import Wanted
-from prc_cli.methods.prc.pipeline import PrcParams
+from prc_cli.methods.prc.pipeline import LOOPS, PrcParams
 from prc_cli.methods.prc.support import stream_window
 from prc_cli.reference.prc import stages as oracle
 from prc_cli.simulation.settings import load_settings, open_simulation
@@ -83,7 +83,7 @@ def best_times(
 
 def main() -> None:
     """Print the table."""
-    load_kernels(frozenset({"prc.components", "prc.support", "prc.surfaces"}))
+    load_loops(LOOPS)
     piece = street(594, 2154)
     ranges = np.tile(piece, (20, 1))  # 100 MB: larger than any cache
     wide = np.tile(street(510, 4270), (12, 1))

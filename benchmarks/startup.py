@@ -19,12 +19,15 @@ import numpy as np
 
 from benchmarks.pages import machine
 from benchmarks.simulated import made
-from prc_cli.config import load_config
-from prc_cli.kernels import KERNELS
-from prc_cli.kernels.loading import short_name
+from prc_cli.jobs.doctor import every_loop
 
 RUNS = 5
-LOAD = "import sys, prc_cli.kernels as k; k.load_kernels(frozenset(sys.argv[1:]))"
+LOAD = """
+import sys
+from prc_cli.config import load_config
+from prc_cli.jobs.classify import load_classifier
+load_classifier(load_config(preset=sys.argv[1]))
+"""
 """As the command does it."""
 METHODS = {
     "prc": "urban",
@@ -38,9 +41,12 @@ WARM = ("urban", "street-scan", "fused")
 ONE = """
 import sys, time
 from importlib import import_module
-import prc_cli.methods.sequential_angle.labels_loops
+from prc_cli.core.loops import load_loops, loops_of
+from prc_cli.methods.sequential_angle import labels_loops
+load_loops(loops_of(labels_loops))
+loops = loops_of(import_module(sys.argv[1]))
 begin = time.process_time()
-import_module(sys.argv[1])
+load_loops(loops)
 print(time.process_time() - begin)
 """
 """Load the compiler and compile something before timing."""
@@ -77,8 +83,7 @@ def row(title: str, times: list[tuple[float, float]]) -> None:
 def cold(folder: Path) -> None:
     """First run after installation, for each method, and without children."""
     for method, preset in METHODS.items():
-        modules = load_config(preset=preset).config.classifier.method().needs.kernels
-        times = [run(["-c", LOAD, *sorted(modules)], folder / f"{method}-{i}") for i in range(2)]
+        times = [run(["-c", LOAD, preset], folder / f"{method}-{i}") for i in range(2)]
         row(f"first run: compile all of {method}", times)
 
 
@@ -113,7 +118,7 @@ def warm(folder: Path) -> None:
 def modules(folder: Path) -> None:
     """CPU seconds of compiling every module."""
     print("\n| module | CPU s |\n|---|---:|")
-    for number, module in enumerate(sorted(set(KERNELS.values()))):
+    for number, module in enumerate(sorted({loop.module for loop in every_loop()})):
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / f"one-{number}")}
         process = subprocess.run(
             [sys.executable, "-c", ONE, module],
@@ -122,7 +127,7 @@ def modules(folder: Path) -> None:
             capture_output=True,
             text=True,
         )
-        print(f"| {short_name(module)} | {float(process.stdout):.2f} |")
+        print(f"| {module} | {float(process.stdout):.2f} |")
 
 
 def main() -> None:

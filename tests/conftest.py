@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 # The same examples in every run, so that a red run can be repeated; HYPOTHESIS_PROFILE=explore
-# looks for new ones. A kernel may be compiled inside an example, and the machine may be slow or
+# looks for new ones. A loop may be compiled inside an example, and the machine may be slow or
 # busy: nothing is timed.
 settings.register_profile(
     "repeatable",
@@ -32,12 +32,13 @@ def pytest_configure(config: pytest.Config) -> None:
     Else each would compile them for itself.
     """
     if getattr(config.option, "numprocesses", None) and not config.option.collectonly:
-        from prc_cli.kernels import KERNELS, load_compiler
+        from prc_cli.core.loops import load_compiler
+        from prc_cli.jobs.doctor import every_loop
 
         load_compiler()
-        from prc_cli.kernels.compiling import compile_missing
+        from prc_cli.core.compiling import compile_missing
 
-        compile_missing(sorted(set(KERNELS.values())))
+        compile_missing(every_loop())
 
 
 @pytest.hookimpl(optionalhook=True)

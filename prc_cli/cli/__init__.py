@@ -29,7 +29,7 @@ from prc_cli.core.files import (
 )
 from prc_cli.core.interrupts import Interrupts
 from prc_cli.core.paths import begin_command
-from prc_cli.core.process import claim_process, no_collecting
+from prc_cli.core.process import no_collecting
 from prc_cli.core.version import __version__
 
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -142,7 +142,8 @@ def main(args: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if args is None else args
     if args is None:
         is_guarded = go_on_in_child(arguments, COMMANDS)
-        claim_process()
+        # pydantic then does not look through all installed packages for plugins
+        os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
         keep_proofs()
     # the parent process may have closed stdout and stderr, as some daemons do
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115

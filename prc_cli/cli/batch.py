@@ -26,9 +26,9 @@ from prc_cli.cli.options import (
 from prc_cli.cli.output import print_json
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, WRITTEN_TEXT
 from prc_cli.core.errors import ConfigError, ExitCode, PrcError
+from prc_cli.core.interrupts import raise_or_wait
 from prc_cli.core.own_file import read_own, write_own
 from prc_cli.core.paths import begin_command
-from prc_cli.core.process import raise_or_hold
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -566,7 +566,7 @@ def _end_with_terminal() -> None:
         return
     if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
         signal.signal(
-            signal.SIGHUP, lambda number, frame: raise_or_hold(SystemExit(ExitCode.HANGUP))
+            signal.SIGHUP, lambda number, frame: raise_or_wait(SystemExit(ExitCode.HANGUP))
         )
 
 

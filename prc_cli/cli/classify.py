@@ -31,11 +31,11 @@ from prc_cli.cli.report import (
     profile_of,
 )
 from prc_cli.core.errors import printable
+from prc_cli.core.loops import ENGINES, Engine
 from prc_cli.core.profile import profiling, timed
 from prc_cli.jobs.classify import classify as classify_file
 from prc_cli.jobs.classify import load_classifier, threads_of
 from prc_cli.jobs.run import RunSummary
-from prc_cli.kernels import ENGINES, Engine
 
 FEW_SHOTS = 100
 """The checks and the rate need at least so many shots."""

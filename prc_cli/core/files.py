@@ -28,8 +28,8 @@ from pathlib import Path
 from typing import IO, TypeAlias
 
 from prc_cli.core.errors import InputError, OutputError, OutputExistsError
+from prc_cli.core.interrupts import signals_wait
 from prc_cli.core.paths import is_one_file, refuse_read, run_key
-from prc_cli.core.process import held
 
 _TEMPORARY = re.compile(
     r"\..+\.(?P<machine>[0-9a-f]{8})-(?P<process>[0-9]{1,9})-(?P<run>[0-9a-f]{8})?[0-9a-f]{8}\.part",
@@ -443,12 +443,11 @@ def place_all(files: Sequence[_Finished]) -> None:
         pending.extend(files)
         return
     order = _ORDER.get({})
-    _give_names(sorted(files, key=lambda file: order.get(file[1].absolute(), len(order))))
+    with signals_wait:
+        _give_names(sorted(files, key=lambda file: order.get(file[1].absolute(), len(order))))
 
 
-@held
 def _give_names(files: Sequence[_Finished]) -> None:
-    # signals wait, so folders are flushed last
     made: list[Path] = []
     try:
         for temporary, path, overwrite in files:

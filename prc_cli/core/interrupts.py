@@ -1,4 +1,9 @@
-"""Signals that end a command or a worker, as exceptions in the main thread."""
+"""Signals that end a command or a worker, as exceptions in the main thread.
+
+Python may run a signal handler while the arguments of a compiled loop are unpacked. An exception
+there would leave the loop's caller with a broken result, or end the process by a wrong address. So
+signals wait while a loop runs, and while finished outputs get their names.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +13,38 @@ import threading
 import time
 from collections.abc import Callable
 
-from prc_cli.core.process import raise_or_hold
-
 REPEATED_S = 0.3
 """Two signals of a kind within this time are one: systemd and ``timeout`` send two [s]."""
 AGAIN_S = 0.05
 """A signal that Python dropped is sent again so much later [s]."""
+
+
+class _Waiting(threading.local):
+    """State per thread: the main thread handles signals, and does not wait for other threads."""
+
+    depth = 0
+    error: BaseException | None = None
+
+    def __enter__(self) -> None:
+        self.depth += 1
+
+    def __exit__(self, *_: object) -> None:
+        self.depth -= 1
+        if not self.depth and self.error is not None:
+            error = self.error
+            self.error = None
+            raise error
+
+
+signals_wait = _Waiting()
+"""A context in which the exception of a signal waits until it ends."""
+
+
+def raise_or_wait(error: BaseException) -> None:
+    """Raise now, or when the context :data:`signals_wait` ends; for signal handlers."""
+    if not signals_wait.depth:
+        raise error
+    signals_wait.error = error
 
 
 class Interrupts:
@@ -41,7 +72,7 @@ class Interrupts:
         now = time.monotonic()
         if before is None or now - before > self._repeated_s:
             self._heard[number] = now
-            raise_or_hold(self._errors[number]())
+            raise_or_wait(self._errors[number]())
 
     def _send_again(self, dropped: sys.UnraisableHookArgs) -> None:
         error = dropped.exc_value

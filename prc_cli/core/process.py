@@ -1,13 +1,8 @@
-"""The running process: its owner, the limits of a decoding step, and its memory.
+"""The running process: its garbage collector, the limits of a decoding step, and its memory.
 
 Limits are switched on in processes that a crash may end: the child of a command and the workers of
 ``prc batch`` (:mod:`prc_cli.core.child`). A step that needs more processor time ends the process
 (SIGXCPU), more memory is a ``MemoryError``.
-
-Python may run a signal handler while the arguments of a compiled loop are unpacked. An exception
-there leaves the loop's caller with a broken result. So the signal handlers of the command line call
-:func:`raise_or_hold`, which raises at once, or, inside a :func:`held` function, when that function
-ends.
 """
 
 from __future__ import annotations
@@ -16,56 +11,16 @@ import contextlib
 import gc
 import os
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
-from functools import wraps
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import TypeVar
 
 _T = TypeVar("_T")
 
 
 class _State:
-    is_own = limits_hold = False
-
-
-def claim_process() -> None:
-    """Declare that the command owns this process: packages load without parts it never uses."""
-    _State.is_own = True
-    # pydantic then does not look through all installed packages for plugins
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-
-
-def is_own_process() -> bool:
-    """Whether :func:`claim_process` was called.
-
-    >>> is_own_process()
-    False
-    """
-    return _State.is_own
-
-
-_HIDING = threading.RLock()
-"""Held while modules are hidden: two threads at once would each bring back what the other hides."""
-
-
-@contextlib.contextmanager
-def absent(*unneeded: str, always: tuple[str, ...] = ()) -> Iterator[None]:
-    """Hide modules while a package is loaded; unneeded ones in the command's own process alone."""
-    modules: dict[str, Any] = sys.modules
-    with _HIDING:
-        hidden = always + tuple(
-            name for name in unneeded if is_own_process() and name not in modules
-        )
-        before = {name: modules[name] for name in hidden if name in modules}
-        modules.update(dict.fromkeys(hidden))
-        try:
-            yield
-        finally:
-            for name in hidden:
-                modules.pop(name, None)
-            modules.update(before)
+    limits_hold = False
 
 
 @contextlib.contextmanager
@@ -163,43 +118,3 @@ def _set_malloc(parameter: int, value: int) -> None:
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
     if mallopt is not None:
         mallopt(parameter, value)
-
-
-_P = ParamSpec("_P")
-
-
-class _Held(threading.local):
-    """State per thread: the main thread handles signals, and does not wait for other loops."""
-
-    depth = 0
-    pending: BaseException | None = None
-
-
-_STATE = _Held()
-
-
-def raise_or_hold(error: BaseException) -> None:
-    """Raise now, or when the running compiled code has ended; for signal handlers."""
-    if _STATE.depth:
-        _STATE.pending = error
-        return
-    raise error
-
-
-def held(function: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Wrap a function so that interrupts are raised only after it has ended."""
-
-    @wraps(function)
-    def call(*arguments: _P.args, **named: _P.kwargs) -> _T:
-        _STATE.depth += 1
-        try:
-            result = function(*arguments, **named)
-        finally:
-            _STATE.depth -= 1
-            if not _STATE.depth and _STATE.pending is not None:
-                error = _STATE.pending
-                _STATE.pending = None
-                raise error
-        return result
-
-    return call

@@ -7,7 +7,6 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli import kernels
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import Assumption, ReadTally
 from prc_cli.core.types import F32, Mask
@@ -28,11 +27,17 @@ def clean_ranges(
         stored = np.require(range_m, dtype=np.float32, requirements=["C", "W"])
         low = np.float32(min(max(min_range, 0.0), _LARGEST))
         high = np.float32(_LARGEST if max_range is None else min(max_range, _LARGEST))
-    ranges, n_not_finite, n_not_positive, n_beyond = kernels.clean_ranges(
-        stored.reshape(-1), low, high
+        is_kept = (stored > low) & (stored <= high)
+        n_lost = stored.size - np.count_nonzero(is_kept) - np.count_nonzero(np.isnan(stored))
+        n_infinite = np.count_nonzero(np.isinf(stored))
+        n_not_positive = np.count_nonzero(stored <= 0) - np.count_nonzero(stored == -np.inf)
+    tally = ReadTally(
+        n_not_finite=int(n_infinite),
+        n_not_positive=int(n_not_positive),
+        n_beyond=int(n_lost - n_infinite - n_not_positive),
     )
-    tally = ReadTally(n_not_finite=n_not_finite, n_not_positive=n_not_positive, n_beyond=n_beyond)
-    return ranges.reshape(stored.shape), tally
+    ranges: F32 = np.where(is_kept, stored, np.float32(np.nan))
+    return ranges, tally
 
 
 def scale_told(scale: float) -> tuple[Assumption, ...]:

@@ -14,10 +14,10 @@ from typing import get_args
 
 from prc_cli.config import ChosenPreset, LoadedConfig, MethodChoice, RunConfig
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.loops import Engine
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.threads import closing_items
 from prc_cli.formats.input import Input
-from prc_cli.kernels import Engine
 from prc_cli.methods.rings.pipeline import WIDEST_FAN_RAD, is_fan
 from prc_cli.streams.beams import ANGLES, with_beams
 from prc_cli.streams.evidence.place import place_of_blocks

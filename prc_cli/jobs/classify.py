@@ -22,6 +22,7 @@ from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import ConfigError, DoubtWarning, InputError
 from prc_cli.core.files import suffix_of
 from prc_cli.core.findings import Finding, accept, doubts, refuse
+from prc_cli.core.loops import Engine, Loops, load_loops, use_engine
 from prc_cli.core.process import return_memory
 from prc_cli.core.profile import timed, timed_items
 from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream, StreamInfo
@@ -51,7 +52,6 @@ from prc_cli.jobs.choice import (
 from prc_cli.jobs.coordinates import placement
 from prc_cli.jobs.progress import advance
 from prc_cli.jobs.run import Counts, Progress, Run, RunSummary
-from prc_cli.kernels import Engine, load_kernels, use_engine
 from prc_cli.methods.base import LABELS_ALONE, MethodParams, UsualLabels, Wanted
 from prc_cli.methods.run import run_blocks
 from prc_cli.streams.evidence.result import ResultWatch
@@ -197,7 +197,7 @@ def label_blocks(
 ) -> Iterator[LabelledBlock]:
     """Classify a stream block by block, with one state per scanner."""
     if wanted.confidence:
-        load_kernels(confidence_kernels(params))  # before threads need them
+        load_loops(confidence_loops(params))  # before threads need them
     yield from run_blocks(blocks, params.method(), threads=threads, wanted=wanted)
 
 
@@ -206,14 +206,14 @@ def wanted_by(output: OutputConfig) -> Wanted:
     return Wanted(output.segment_ids, output.stages, output.confidence, output.reason)
 
 
-def confidence_kernels(params: MethodParams) -> frozenset[str]:
+def confidence_loops(params: MethodParams) -> Loops:
     """Return the loops that a method calls for the confidence of labels."""
-    kernels = params.method().needs.confidence_kernels
-    if kernels is None:
+    loops = params.method().needs.confidence_loops
+    if loops is None:
         problem = "this method has no confidence, expected fused"
         hint = "give --preset fused or fused-forest, which need beam angles, or confidence = false"
         raise ConfigError("output.confidence", problem, hint)
-    return kernels
+    return loops
 
 
 def load_classifier(
@@ -231,8 +231,9 @@ def load_classifier(
     else:
         forest = config.fused.model_copy(update={"environment": "forest"})
         methods = [*(getattr(config, name) for name in CHOSEN_FROM), forest]
+    loops = [loop for params in methods for loop in params.method().needs.loops]
     with use_engine(engine):
-        load_kernels(frozenset().union(*(params.method().needs.kernels for params in methods)))
+        load_loops(tuple(dict.fromkeys(loops)))
 
 
 def classify(
@@ -325,7 +326,7 @@ def _classify(
         needs = loaded.config.classifier.method().needs
         if loaded.config.output.confidence:
             # raises an error if the method has no confidence
-            confidence_kernels(loaded.config.classifier)
+            confidence_loops(loaded.config.classifier)
         stream = watched(opened, loaded.config.input, needs=needs, others=loaded.findings)
     coordinates: AbstractContextManager[Placement | None] = nullcontext()
     if output_needs.geometry:

@@ -31,6 +31,7 @@ from prc_cli.core.threads import default_threads
 from prc_cli.core.version import __version__
 
 if TYPE_CHECKING:
+    from prc_cli.core.loops import Loops
     from prc_cli.simulation.settings import Kind
 
 Status: TypeAlias = Literal["ok", "warn", "bad"]
@@ -40,6 +41,8 @@ DEVELOPERS = ("test", "docs")
 """Extras for development only."""
 MODULES = {"pillow": "PIL", "scikit-image": "skimage"}
 """Modules of packages that are imported by another name."""
+VECTORS = ("avx512f", "avx2", "avx", "sse4.2", "sve", "neon")
+"""Vector extensions that speed up loops, the best first."""
 MEMORY_BYTES = 1 << 30
 """Free memory above which one file per core is always possible."""
 DISK_BYTES = 2 << 30
@@ -322,31 +325,34 @@ def _laz() -> Iterator[Check]:
 
 
 def _processor() -> Iterator[Check]:
-    from prc_cli.kernels import load_compiler
+    from prc_cli.core.compiling import is_compiling_off
+    from prc_cli.core.loops import load_compiler
 
     load_compiler()
-    from prc_cli.kernels.compiling import about
+    import llvmlite.binding  # type: ignore[import-untyped]
 
-    compiler = about()
+    name = llvmlite.binding.get_host_cpu_name()
+    has = llvmlite.binding.get_host_cpu_features()
+    vectors = [feature for feature in VECTORS if has.get(feature)]
     usable = default_threads()
     all_cores = os.cpu_count() or 1
-    features = ", ".join(compiler.features) or "no vector instructions"
+    features = ", ".join(vectors) or "no vector instructions"
     cores = f"{usable} of {all_cores} cores" if usable < all_cores else f"{usable} cores"
     details = {
         "cores": usable,
         "of": all_cores,
-        "processor": compiler.processor,
-        "features": list(compiler.features),
+        "processor": name,
+        "features": vectors,
     }
     load = 0.0
     with contextlib.suppress(OSError, AttributeError):  # not on this system
         load = os.getloadavg()[0]
     yield _check(
         "processor",
-        f"{cores}, {compiler.processor} ({features})",
+        f"{cores}, {name} ({features})",
         details,
         Fault(
-            not compiler.compiles,
+            is_compiling_off(),
             "bad",
             "; compiling is turned off",
             "unset NUMBA_DISABLE_JIT: without compiling prc is a hundred times slower",
@@ -360,20 +366,36 @@ def _processor() -> Iterator[Check]:
     )
 
 
+def every_loop() -> Loops:
+    """Return the compiled loops of this package."""
+    from prc_cli.core.loops import loops_of
+
+    root = Path(__file__).parents[1]
+    files = sorted(file.relative_to(root.parent) for file in root.rglob("*_loops.py"))
+    return loops_of(
+        *(importlib.import_module(".".join(file.with_suffix("").parts)) for file in files)
+    )
+
+
 def _cache() -> Iterator[Check]:
-    from prc_cli.kernels import load_compiler
+    from prc_cli.core.loop_cache import writable_cache
+    from prc_cli.core.loops import load_compiler
 
     load_compiler()
-    from prc_cli.kernels.compiling import cache_state
-
-    cache = cache_state()
-    folder = cache.folder
+    folder = writable_cache()
+    loops = every_loop()
+    modules = {loop.module for loop in loops}
+    n_compiled = len(modules - {loop.module for loop in loops if not loop.is_compiled()})
+    n_bytes = 0
+    for path in folder.rglob("*") if folder is not None else ():
+        with contextlib.suppress(OSError):  # another process may remove it
+            n_bytes += path.stat().st_size
     temporary = Path(tempfile.gettempdir()).resolve()
     details = {
         "folder": None if folder is None else str(folder),
-        "bytes": cache.n_bytes,
-        "compiled": cache.n_compiled,
-        "modules": cache.n_modules,
+        "bytes": n_bytes,
+        "compiled": n_compiled,
+        "modules": len(modules),
     }
     if folder is None:
         hint = "set NUMBA_CACHE_DIR to a writable folder, else every run compiles for half a minute"
@@ -381,8 +403,7 @@ def _cache() -> Iterator[Check]:
         return
     free = shutil.disk_usage(folder).free
     is_lost = not os.environ.get("NUMBA_CACHE_DIR") and folder.resolve().is_relative_to(temporary)
-    text = f"{cache.n_compiled} of {cache.n_modules} modules compiled"
-    text += f", {_size(cache.n_bytes)} in {folder}"
+    text = f"{n_compiled} of {len(modules)} modules compiled, {_size(n_bytes)} in {folder}"
     yield _check(
         "compiled loops",
         text,
@@ -670,8 +691,8 @@ def _engines() -> Iterator[Check]:
     """Classify small simulated scans with both engines."""
     from prc_cli.config import load_config
     from prc_cli.core.blocks import join
+    from prc_cli.core.loops import Engine
     from prc_cli.jobs.classify import classify_ranges, load_classifier
-    from prc_cli.kernels import Engine
     from prc_cli.simulation.settings import load_settings, open_simulation
 
     n_shots = 0

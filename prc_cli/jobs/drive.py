@@ -17,6 +17,7 @@ from prc_cli.config import LoadedConfig, with_layout_beside
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import whole_set
 from prc_cli.core.findings import notices
+from prc_cli.core.loops import Engine, use_engine
 from prc_cli.core.own_file import make_folder
 from prc_cli.core.process import return_memory
 from prc_cli.core.stream import LabelledBlock, ReadTally
@@ -43,7 +44,6 @@ from prc_cli.jobs.classify import (
     write_labels,
 )
 from prc_cli.jobs.run import Counts, Progress, Run, RunSummary
-from prc_cli.kernels import Engine, use_engine
 from prc_cli.streams.evidence.watch import watched
 from prc_cli.streams.registered.source import sorts_by_itself
 

@@ -22,6 +22,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from prc_cli.core.classes import Label
 from prc_cli.core.config import Params
 from prc_cli.core.errors import InputError
+from prc_cli.core.loops import Loops
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock
 from prc_cli.core.types import F32, F64, I64
 
@@ -130,8 +131,8 @@ class OneByOne(Generic[StateT]):
 class Needs:
     """What a method requires of its input."""
 
-    kernels: frozenset[str] = frozenset()
-    """Folders or modules of its compiled loops, for :func:`prc_cli.kernels.load_kernels`."""
+    loops: Loops = ()
+    """Its compiled loops, for :func:`prc_cli.core.loops.load_loops`."""
     lines_per_block: int | None = None
     """k, scan lines per block, fewer only at the end of the stream.
 
@@ -150,7 +151,7 @@ class Needs:
     """Most range noise that the thresholds allow [m]; more is a warning."""
     least_rings: int = 0
     """Fewer rings with returns than this are a warning: classes are less certain."""
-    confidence_kernels: frozenset[str] | None = None
+    confidence_loops: Loops | None = None
     """Further loops that it calls if confidence is requested; None = it has no confidence."""
 
 

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from prc_cli.core.types import F64, I32, I64
-from prc_cli.kernels.cache import Tuple, float64, helper, int32, int64, kernel, record
+from prc_cli.core.loops import helper, loop
+from prc_cli.core.types import F64, F64_1, F64_2, F64_3, F64_4, I32, I32_2, I64
 from prc_cli.simulation.thresholds import CastBodies
 
 _TRIANGLE = 0
@@ -840,26 +840,16 @@ def _walk(
     return np.inf
 
 
-@kernel(
-    Tuple((float64[:, ::1], int32[:, ::1], float64[:, ::1]))(
-        float64[:, :, ::1],
-        float64[:, :, ::1],
-        float64[:, ::1],
-        float64[:, ::1],
-        int64,
-        record(CastBodies),
-        float64[::1],
-    )
-)
+@loop()
 def cast_shots(
-    origin: F64,
-    direction: F64,
-    time_s: F64,
-    t_min: F64,
+    origin: F64_3,
+    direction: F64_3,
+    time_s: F64_2,
+    t_min: F64_2,
     first_shot: int,
     bodies: CastBodies,
-    quantiles: F64,
-) -> tuple[F64, I32, F64]:
+    quantiles: F64_1,
+) -> tuple[F64_2, I32_2, F64_2]:
     """Find the nearest surface of every shot; of surfaces at one place, that of the first body.
 
     ``origin, direction`` (lines, M, 3) float64; ``time_s`` (lines, M) float64; ``t_min`` (lines, M)
@@ -950,11 +940,8 @@ def cast_shots(
     return t, body, facing
 
 
-@kernel(
-    "Tuple((float64[:, :, ::1], float64[:, :, ::1]))"
-    "(float64[:, :, ::1], float64[:, :, :, ::1], float64[:, ::1])"
-)
-def aim_shots(position: F64, turn: F64, columns: F64) -> tuple[F64, F64]:
+@loop()
+def aim_shots(position: F64_3, turn: F64_4, columns: F64_2) -> tuple[F64_3, F64_3]:
     """Place and turn every shot of every line, straight between the poses around it.
 
     ``position`` (lines, k + 1, 3) float64, metres; ``turn`` (lines, k + 1, 3, 3) float64;

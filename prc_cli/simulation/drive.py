@@ -10,10 +10,11 @@ import numpy as np
 
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError
+from prc_cli.core.loops import load_loops, loops_of
 from prc_cli.core.stream import Assumption, ExtraReturns, LabelledBlock, ScanBlock, StreamInfo, cut
 from prc_cli.core.threads import ordered
 from prc_cli.core.types import F32, F64, I32, U8, Mask
-from prc_cli.kernels import load_kernels
+from prc_cli.simulation import casting_loops, sensor_loops
 from prc_cli.simulation.scanners import Scanner
 from prc_cli.simulation.sensor import Measured, cast, goes_behind, scan
 from prc_cli.simulation.thresholds import Hits
@@ -32,8 +33,7 @@ BEHIND_M = 0.01
 INTENSITY_SCALE = np.float32(4096.0)
 """Intensity of a white wall at 10 m; it grows with the root of the power, to fit 16 bits."""
 
-KERNELS_OF_SIMULATOR = frozenset({"simulation"})
-"""Modules of the compiled loops."""
+LOOPS = loops_of(casting_loops, sensor_loops)
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +191,7 @@ class SimulatedScan:
 
 def load_simulator() -> None:
     """Load the compiled loops; after installation they are compiled once, which takes a while."""
-    load_kernels(KERNELS_OF_SIMULATOR)
+    load_loops(LOOPS)
 
 
 def lines_of(platform: Trajectory, scanner: Scanner, length_m: float) -> int:

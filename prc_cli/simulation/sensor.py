@@ -31,9 +31,11 @@ from statistics import NormalDist
 
 import numpy as np
 
-from prc_cli import kernels
 from prc_cli.core.types import F32, F64, I32, U8, Mask
+from prc_cli.simulation import sensor_loops
+from prc_cli.simulation.casting_loops import cast_shots
 from prc_cli.simulation.scanners import Scanner
+from prc_cli.simulation.sensor_loops import sense
 from prc_cli.simulation.thresholds import CastBodies, Hits, SensorModel
 from prc_cli.simulation.world import PROPERTIES, Bodies, Material, Shape, hashed
 
@@ -77,7 +79,7 @@ def cast(
         number=_plain(bodies.number),
     )
     rays = _plain(origin_m), _plain(direction), _plain(times), _plain(t_min)
-    return Hits(*kernels.cast_shots(*rays, first_shot, arrays, _EXPONENTIAL))
+    return Hits(*cast_shots(*rays, first_shot, arrays, _EXPONENTIAL))
 
 
 def _plain(numbers: F64) -> F64:
@@ -125,7 +127,7 @@ def goes_behind(
     Cast them again from there and give the result to :func:`scan`.
     """
     _, kind = _about(bodies)
-    mask: Mask = kernels.goes_behind(hits, kind, _model(scanner), first_line, seed)
+    mask: Mask = sensor_loops.goes_behind(hits, kind, _model(scanner), first_line, seed)
     return mask
 
 
@@ -141,7 +143,7 @@ def scan(
     surface, kind = _about(bodies)
     if behind is None:
         behind = Hits(np.empty((0, 0)), np.empty((0, 0), np.int32), np.empty((0, 0)))
-    ranges, labels, intensities, extra, extra_range, extra_label, extra_intensity = kernels.sense(
+    ranges, labels, intensities, extra, extra_range, extra_label, extra_intensity = sense(
         hits, behind, surface, kind, _model(scanner), _quantiles(), first_line, seed
     )
     return Measured(

@@ -11,18 +11,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from prc_cli.core.types import F32, F64, I32, U8, Mask
-from prc_cli.kernels.cache import (
-    Tuple,
-    boolean,
-    float32,
-    float64,
-    helper,
-    int32,
-    int64,
-    kernel,
-    record,
-    uint8,
+from prc_cli.core.loops import helper, loop
+from prc_cli.core.types import (
+    F32,
+    F32_1,
+    F32_2,
+    F64,
+    F64_1,
+    F64_2,
+    I32,
+    I32_2,
+    U8,
+    U8_1,
+    U8_2,
+    Mask_2,
 )
 from prc_cli.simulation.thresholds import Hits, SensorModel
 
@@ -330,14 +332,14 @@ def _rounded(t: float, model: SensorModel) -> float:
     return steps if model.min_range_m <= steps <= model.max_range_m else np.nan
 
 
-@kernel(boolean[:, ::1](record(Hits), uint8[:, ::1], record(SensorModel), int64, int64))
+@loop()
 def goes_behind(
     hits: Hits,
-    kind: U8,
+    kind: U8_2,
     model: SensorModel,
     first_line: int,
     seed: int,
-) -> Mask:
+) -> Mask_2:
     """Mark the shots whose light goes on behind the surface that it meets first.
 
     ``kind`` (n, 2) uint8; returns (lines, M) bool.
@@ -506,38 +508,17 @@ def _keep(
     intensities[place] = np.float32(echo[j, _POWER] / (_WHITE / 100.0))
 
 
-@kernel(
-    Tuple(
-        (
-            float32[:, ::1],
-            uint8[:, ::1],
-            float32[:, ::1],
-            int32[:, ::1],
-            float32[::1],
-            uint8[::1],
-            float32[::1],
-        )
-    )(
-        record(Hits),
-        record(Hits),
-        float64[:, ::1],
-        uint8[:, ::1],
-        record(SensorModel),
-        float64[::1],
-        int64,
-        int64,
-    )
-)
+@loop()
 def sense(
     hits: Hits,
     behind: Hits,
-    surface: F64,
-    kind: U8,
+    surface: F64_2,
+    kind: U8_2,
     model: SensorModel,
-    quantiles: F64,
+    quantiles: F64_1,
     first_line: int,
     seed: int,
-) -> tuple[F32, U8, F32, I32, F32, U8, F32]:
+) -> tuple[F32_2, U8_2, F32_2, I32_2, F32_1, U8_1, F32_1]:
     """Measure the surfaces that the beams of consecutive lines meet.
 
     ``surface`` (n, 2) float64; ``kind`` (n, 2) uint8; ``quantiles`` (k,) float64; returns

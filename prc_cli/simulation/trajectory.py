@@ -21,12 +21,12 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 from pydantic import Field, model_validator
 
-from prc_cli import kernels
 from prc_cli.core.config import Params
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output
 from prc_cli.core.types import F64, I64
 from prc_cli.formats.trajectory import SBET_SUFFIXES
+from prc_cli.simulation.casting_loops import aim_shots
 from prc_cli.simulation.scanners import Scanner
 from prc_cli.simulation.world import hashed
 
@@ -383,9 +383,7 @@ def aim(
         zero = np.zeros(len(azimuth))
         turn = turn @ _turn(zero, zero, azimuth).reshape(turn.shape)
     position = pose.position.reshape(n_firings, n_knots + 1, 3)
-    origin, direction = kernels.aim_shots(
-        position, np.ascontiguousarray(turn), scanner.directions()
-    )
+    origin, direction = aim_shots(position, np.ascontiguousarray(turn), scanner.directions())
     column = np.arange(m)
     time_s = start_s[:, None] + column * scanner.shot_s
     if not late.any():

@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import platform
 import sys
-import threading
 import time
 
-import numpy as np
 import pytest
 
-from prc_cli import kernels
-from prc_cli.core.process import absent, held, raise_or_hold
 from prc_cli.core.profile import peak_memory, profiling, timed
 from tests import patience
-from tests.patience import HANGS_S
 
 SCRIPT = """
 import resource
@@ -81,21 +76,6 @@ def burn(seconds: float) -> None:
         pass
 
 
-def test_modules_that_two_threads_hide_come_back() -> None:
-    """The second one begins while the first one hides, and ends after it."""
-    second = threading.Thread(target=lambda: hide_for(0.1))
-    with absent(always=("module_of_a_test",)):
-        second.start()
-        time.sleep(0.05)
-    second.join(HANGS_S)
-    assert "module_of_a_test" not in sys.modules
-
-
-def hide_for(seconds: float) -> None:
-    with absent(always=("module_of_a_test",)):
-        time.sleep(seconds)
-
-
 def test_a_stage_inside_another_is_not_counted_twice() -> None:
     with profiling() as profile, timed("outer"):
         burn(0.02)
@@ -111,53 +91,3 @@ def test_a_stage_inside_another_is_not_counted_twice() -> None:
 def test_the_peak_of_memory_is_that_of_a_process_with_an_interpreter() -> None:
     peak = peak_memory()
     assert peak is None or 5 << 20 < peak < 1 << 40
-
-
-def test_outside_it_is_raised_at_once() -> None:
-    with pytest.raises(SystemExit, match="143"):
-        raise_or_hold(SystemExit(143))
-
-
-def test_inside_the_work_ends_first_even_when_nested() -> None:
-    done = []
-
-    @held
-    def inner() -> None:
-        raise_or_hold(KeyboardInterrupt())
-        done.append("inner")
-
-    @held
-    def outer() -> None:
-        inner()
-        done.append("outer")
-
-    with pytest.raises(KeyboardInterrupt):
-        outer()
-    assert done == ["inner", "outer"]
-    inner_again = held(lambda: 5)
-    assert inner_again() == 5, "nothing is left pending"
-
-
-def test_work_in_another_thread_holds_nothing_back_here() -> None:
-    entered = threading.Event()
-    leave = threading.Event()
-
-    @held
-    def work() -> None:
-        entered.set()
-        leave.wait(HANGS_S)
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    try:
-        assert entered.wait(HANGS_S)
-        with pytest.raises(KeyboardInterrupt):
-            raise_or_hold(KeyboardInterrupt())
-    finally:
-        leave.set()
-        thread.join()
-
-
-def test_every_kernel_is_held() -> None:
-    assert kernels.dilate.__wrapped__ is not kernels.dilate  # type: ignore[attr-defined]
-    assert not kernels.dilate(np.zeros((2, 2), np.bool_), 1).any()

@@ -14,7 +14,7 @@ from types import CodeType
 from typing import Any
 
 import prc_cli
-from prc_cli.kernels import compiling
+from prc_cli.core import compiling
 from prc_cli.methods.fused import thresholds
 
 FORBIDDEN = (

@@ -17,7 +17,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from prc_cli.kernels import load_kernels
+from prc_cli.core.loops import load_loops
+from prc_cli.jobs.doctor import every_loop
 from tests.fuzz.targets import arguments
 from tests.messages import folded
 
@@ -41,7 +42,7 @@ class WatchedWorker:
     def __init__(self, folder: Path) -> None:
         # compiling them, once after installation, is no hang of the command that happens to need
         # them first
-        load_kernels()
+        load_loops(every_loop())
         self._folder = folder
         self._process: subprocess.Popen[bytes] | None = None
 

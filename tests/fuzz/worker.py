@@ -26,8 +26,9 @@ from typing import Any
 from prc_cli.core import process as limits
 from prc_cli.core.errors import PrcError
 from prc_cli.core.files import cache_folder
-from prc_cli.kernels import load_kernels
-from prc_cli.kernels.cache import writable_cache
+from prc_cli.core.loop_cache import writable_cache
+from prc_cli.core.loops import load_loops
+from prc_cli.jobs.doctor import every_loop
 from tests.fuzz.guard import Guard, unprintable
 from tests.fuzz.oracles import BLOCKS, judge_labels, judge_las
 from tests.fuzz.reads import READS, blocks
@@ -283,7 +284,7 @@ def main() -> None:
     import prc_cli.jobs.thin
     import prc_cli.jobs.transfer  # noqa: F401 - loaded once for all workers
 
-    load_kernels()
+    load_loops(every_loop())
     folder = Path(sys.argv[1])
     while True:
         child = os.fork()

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import prc_cli
-from prc_cli import kernels
 from prc_cli.cli import main
 from prc_cli.config import load_config
 from prc_cli.core.errors import EvidenceError, InputError, OutputExistsError
 from prc_cli.core.findings import CHECK_NAMES
+from prc_cli.core.loops import ENGINES
 from prc_cli.core.types import F32
 from prc_cli.formats.writing.record import record_path
 from prc_cli.jobs.classify import classify, threads_of
@@ -149,7 +149,7 @@ def prc(*words: str | Path) -> int:
 def by_both(source: Path, suffix: str, *options: str) -> tuple[Path, Path]:
     """Classify with both engines through the command line."""
     outputs = []
-    for engine in kernels.ENGINES:
+    for engine in ENGINES:
         outputs.append(source.with_name(f"{source.name}.{engine}{suffix}"))
         assert prc("classify", source, outputs[-1], *options, "--engine", engine, "-q") == 0
     return outputs[0], outputs[1]

@@ -15,8 +15,6 @@ from prc_cli.core.classes import LABEL_BITS, Label, Reason
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, U8
 from prc_cli.jobs.classify import label_blocks
-from prc_cli.kernels import KERNELS
-from prc_cli.kernels.loading import short_name
 from prc_cli.methods.base import Classifier, MethodParams, Needs, OneByOne, Part, Turn, Wanted
 from prc_cli.methods.fused.thresholds import FOREST, STREET
 from prc_cli.methods.methods import METHODS, MethodTables, table_of
@@ -121,12 +119,10 @@ def test_a_runner_that_is_left_early_leaves_no_thread() -> None:
 
 def test_the_table_holds_what_it_names() -> None:
     assert [table_of(method) for method in METHODS] == list(MethodTables.model_fields)
-    homes = {short_name(home) for home in KERNELS.values()}
     for method in METHODS:
         params = RunConfig(method=method).classifier
         assert isinstance(params, MethodParams)
-        for kernels in params.method().needs.kernels:
-            assert any(home == kernels or home.startswith(f"{kernels}.") for home in homes)
+        assert params.method().needs.loops
 
 
 def label_one(

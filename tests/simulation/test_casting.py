@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prc_cli import kernels
 from prc_cli.core.classes import Label
 from prc_cli.core.types import F64
 from prc_cli.simulation.scanners import SCANNERS, Scanner
@@ -315,8 +314,7 @@ def test_ranges_labels_and_intensities_go_together(name: str) -> None:
         assert len(measured.extra_line) == 0
 
 
-def test_kernel_reads_the_labels_that_are_meant() -> None:
+def test_the_loop_reads_the_labels_that_are_meant() -> None:
     from prc_cli.simulation import sensor_loops as loops
 
     assert (loops.LABEL_MISSING, loops.LABEL_NOISE) == (Label.MISSING, Label.NOISE)
-    assert callable(kernels.sense)

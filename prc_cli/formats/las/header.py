@@ -15,14 +15,12 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from importlib import import_module
 from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import file_state
-from prc_cli.core.process import absent
 from prc_cli.formats.writing.record import dropped_of
 
 STANDARD_HEADER = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375, 5: 393}
@@ -391,16 +389,12 @@ def damaged(
     return InputError(f"{path}: byte {byte}", problem, hint)
 
 
-def load_laspy() -> Any:
-    """Load laspy without its readers of the web and of projections, which take half of the time."""
-    with absent("requests", "pyproj"):
-        return import_module("laspy")
-
-
 @cache
 def standard_bytes(point_format: int) -> int:
     """Return the bytes of a record of a point format, without extra bytes."""
-    return int(load_laspy().PointFormat(point_format).size)
+    import laspy
+
+    return int(laspy.PointFormat(point_format).size)
 
 
 def read_header(path: Path) -> LasHeader:
@@ -525,7 +519,8 @@ def refused_by_laspy(header: LasHeader) -> str:
 
     Long waveforms are left out, because laspy reads them whole.
     """
-    laspy = load_laspy()
+    import laspy
+
     logging.getLogger("laspy").addHandler(logging.NullHandler())  # else its warnings are printed
     try:
         with header.path.open("rb") as handle:

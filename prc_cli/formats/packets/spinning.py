@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import read_small
-from prc_cli.core.process import absent
 from prc_cli.core.types import F64, I64, U8
 from prc_cli.formats.firings import MAX_SHIFT, Columns, choose, columns_of
 from prc_cli.formats.packets.clock import PacketClock, place
@@ -151,9 +150,8 @@ def _velodyne(where: str, packet: bytes, calibration: Path | None) -> Model:
 def _libraries(where: str) -> tuple[Any, Any]:
     """Return velodyne-decoder and the library that reads its calibrations."""
     try:
-        with absent():  # nothing; it waits while another thread hides yaml
-            import velodyne_decoder
-            import yaml
+        import velodyne_decoder
+        import yaml
     except ImportError:
         problem = "reading packets of a Velodyne needs velodyne-decoder, which is not installed"
         raise InputError(where, problem, "pip install prc-cli[pcap]") from None

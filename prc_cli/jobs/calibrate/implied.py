@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli import kernels
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.jobs.calibrate.sensor import SensorEstimate
+from prc_cli.methods.prc.calibration_loops import bend_histogram, support_histogram
 from prc_cli.methods.prc.pipeline import PrcParams
 from prc_cli.methods.prc.support import (
     BackgroundParams,
@@ -135,13 +135,11 @@ class CurveCounter:
         self._tails[block.scanner] = tail_after(tail, block.range_m)
         in_slice, adjacent = required_counts(self.params.support)
         n = block.n_lines
-        self._support += kernels.support_histogram(
+        self._support += support_histogram(
             window, n, m, self.zetas_p, self.zetas_s, in_slice, adjacent
         )
         supported = support(window, m, self.params.support)
-        self._bend += kernels.bend_histogram(
-            window, supported, self.lengths, self.params.background.alpha
-        )
+        self._bend += bend_histogram(window, supported, self.lengths, self.params.background.alpha)
         self.n_shots += block.range_m.size
 
     def finish(self) -> Curves:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli import kernels
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, U8
+from prc_cli.methods.fused.classes_loops import fused_labels
+from prc_cli.methods.fused.curbs_loops import curb_labels
+from prc_cli.methods.fused.fans_loops import fan_cars
 from prc_cli.methods.fused.ground import Ground
+from prc_cli.methods.fused.noise_loops import noise_again
 from prc_cli.methods.fused.plane import VOTE_LINES, WIDE_LINES, ScanPlane
 from prc_cli.methods.fused.records import Neighbours
 from prc_cli.methods.fused.strips import Strips
+from prc_cli.methods.fused.texture_loops import mean_smoothness
 from prc_cli.methods.fused.thresholds import (
     AgainThresholds,
     CurbThresholds,
@@ -19,6 +23,7 @@ from prc_cli.methods.fused.thresholds import (
     Limits,
     Votes,
 )
+from prc_cli.methods.fused.votes_loops import vote_labels
 
 LINES = 12
 BINS = 200
@@ -87,7 +92,7 @@ def texture_of(
     """Return the mean smoothness around every shot; see :func:`texture_loops.mean_smoothness`."""
     foliage = limits.foliage
     decision = limits.decision
-    texture: F32 = kernels.mean_smoothness(
+    texture: F32 = mean_smoothness(
         range_m,
         neighbours.near,
         neighbours.smooth,
@@ -116,7 +121,7 @@ def decide(
     :class:`~prc_cli.core.classes.Reason`.
     """
     beside = (len(window_m) - len(texture)) // 2 - THING_LINES
-    labels: U8 = kernels.fused_labels(
+    labels: U8 = fused_labels(
         window_m[beside : len(window_m) - beside],
         ground.above_m,
         neighbours,
@@ -146,7 +151,7 @@ def vote(
     """
     if limits is None:
         return labels[VOTE_LINES:-VOTE_LINES]
-    voted: U8 = kernels.vote_labels(
+    voted: U8 = vote_labels(
         labels, range_m, plane.beams, plane.step_rad, limits.half_width_m, limits.near_m
     )
     return voted
@@ -168,7 +173,7 @@ def find_late_noise(
     (lines + 6, M) float32, metres; ``texture`` (lines + 2, M) float32; returns (lines, M) uint8.
     """
     inner = slice(WIDE_LINES + VOTE_LINES, -WIDE_LINES - VOTE_LINES)
-    labels: U8 = kernels.noise_again(
+    labels: U8 = noise_again(
         decided,
         voted,
         range_m,
@@ -191,9 +196,7 @@ def find_curbs(
     """Label the faces of curbs; see :func:`curbs_loops.curb_labels`."""
     if limits is None:
         return labels
-    with_curbs: U8 = kernels.curb_labels(
-        labels, range_m, above_m, plane.beams, plane.step_rad, limits
-    )
+    with_curbs: U8 = curb_labels(labels, range_m, above_m, plane.beams, plane.step_rad, limits)
     return with_curbs
 
 
@@ -223,7 +226,7 @@ def find_cars(
     The first four are (lines + ahead, M); ``before`` (LINES, 2 BINS) uint8; returns the labels of
     ``n_lines`` lines, and the marks for the next block.
     """
-    with_cars, after = kernels.fan_cars(
+    with_cars, after = fan_cars(
         labels, range_m, above_m, texture, plane.sine, plane.sides, before, n_lines, thresholds
     )
     return with_cars, after

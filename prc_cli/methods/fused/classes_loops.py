@@ -42,8 +42,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import LABEL_BITS, Label, Reason
+from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_2, I32, U8, U8_2, U64, Mask_2
-from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.records import (
     FENCE,
     FEW_SHOTS,
@@ -851,7 +851,7 @@ def _list_marked(marks: U8, least: np.uint8, most: np.uint8, shots: I32) -> int:
     return n
 
 
-@kernel()
+@loop()
 def fused_labels(
     window_m: F32_2,
     above_m: F32_2,

@@ -18,11 +18,11 @@ from typing import Literal
 
 import numpy as np
 
-from prc_cli import kernels
 from prc_cli.core.classes import Label
 from prc_cli.core.profile import stage
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, I32, I64, U8
+from prc_cli.methods.fused.confidence_loops import confidence_cells
 from prc_cli.methods.fused.plane import ScanPlane
 from prc_cli.methods.fused.records import Neighbours
 from prc_cli.methods.fused.strips import Strips
@@ -116,7 +116,7 @@ def cells_of(
     """
     lines = slice(evidence.margin, evidence.margin + len(labels))
     strip_lines = slice(1, 1 + len(labels))
-    cells: I32 = kernels.confidence_cells(
+    cells: I32 = confidence_cells(
         labels,
         np.ascontiguousarray(range_m),
         evidence.above_m[lines],

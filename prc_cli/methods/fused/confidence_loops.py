@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import Label
+from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_2, I32_2, I64, I64_1, I64_2, U8, U8_2
-from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.records import (
     SLOT_M,
     STRIP_M,
@@ -202,7 +202,7 @@ def _measure_shots(
         measures[JUMP, i] = max(before, after) / max(ranges[i] * PER_METRE, np.float32(1.0))
 
 
-@kernel()
+@loop()
 def confidence_cells(
     labels: U8_2,
     range_m: F32_2,

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.classes import Label
+from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_2, I32, U8, U8_2
-from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.records import Beams
 from prc_cli.methods.fused.thresholds import CurbThresholds
 
@@ -129,7 +129,7 @@ def _mean_height(
     return (total / np.float32(n) if n > 0 else total), n
 
 
-@kernel()
+@loop()
 def curb_labels(
     labels: U8_2,
     range_m: F32_2,

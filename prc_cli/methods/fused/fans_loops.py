@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.classes import Label
+from prc_cli.core.loops import helper, loop
 from prc_cli.core.types import F32, F32_1, F32_2, I32, U8, U8_2
-from prc_cli.kernels.cache import helper, kernel
 from prc_cli.methods.fused.records import Sides
 from prc_cli.methods.fused.thresholds import FanThresholds
 
@@ -145,7 +145,7 @@ def _is_car(
     return bool(np.float32(most) >= thresholds.share * np.float32(most + others))
 
 
-@kernel()
+@loop()
 def fan_cars(
     labels: U8_2,
     range_m: F32_2,

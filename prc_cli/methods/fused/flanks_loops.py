@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_2, I32, U8_2, U64, U64_2
-from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.records import (
     LORRY_BIN,
     SLOT_M,
@@ -123,7 +123,7 @@ def _ground_past_bottom(
     return beneath, through
 
 
-@kernel()
+@loop()
 def find_flanks(
     range_m: F32_2,
     above_m: F32_2,

@@ -11,10 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from prc_cli import kernels
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, U8, Mask
 from prc_cli.methods.fused.plane import Plane
+from prc_cli.methods.fused.stems_loops import (
+    forest_labels,
+    ground_heights,
+    ground_profiles,
+    stem_shots,
+    upright_runs,
+)
 from prc_cli.methods.fused.thresholds import Forest
 
 LEAST_COLUMNS = 2
@@ -43,10 +49,8 @@ def heights_over_ground(range_m: F32, plane: Plane, limits: Forest) -> F32:
     bin_m = limits.terrain.bin_m
     together = limits.lines_together
     n_bins = 2 * max(int(np.ceil(limits.reach_m / bin_m)), 1)
-    profiles = kernels.ground_profiles(
-        range_m, plane.sine, plane.cosine, together, n_bins, limits.terrain
-    )
-    return kernels.ground_heights(range_m, plane.sine, plane.cosine, profiles, together, bin_m)
+    profiles = ground_profiles(range_m, plane.sine, plane.cosine, together, n_bins, limits.terrain)
+    return ground_heights(range_m, plane.sine, plane.cosine, profiles, together, bin_m)
 
 
 @stage("stems")
@@ -78,8 +82,8 @@ def find_stems(
     (np.float32(0.1), np.True_)
     """
     thresholds = limits.run_thresholds(plane.step_rad, noise_m)
-    runs, table = kernels.upright_runs(range_m, heights_m, plane.sine, plane.cosine, thresholds)
-    return kernels.stem_shots(range_m, runs, table, limits.stems)
+    runs, table = upright_runs(range_m, heights_m, plane.sine, plane.cosine, thresholds)
+    return stem_shots(range_m, runs, table, limits.stems)
 
 
 class Woods(NamedTuple):
@@ -131,6 +135,4 @@ def _decide(
     """Decide what is ground and stem; other shots are vegetation, or noise if no shot is near."""
     columns = round(limits.alone_rad / plane.step_rad) if plane.step_rad > 0 else LEAST_COLUMNS
     around = min(max(columns, LEAST_COLUMNS), MOST_COLUMNS)
-    return kernels.forest_labels(
-        range_m, heights_m, stems, around, limits.class_thresholds(noise_m)
-    )
+    return forest_labels(range_m, heights_m, stems, around, limits.class_thresholds(noise_m))

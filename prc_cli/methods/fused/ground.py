@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prc_cli import kernels
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, I32, Mask
+from prc_cli.methods.fused.ground_loops import walk_ground
 from prc_cli.methods.fused.plane import ScanPlane
 from prc_cli.methods.fused.records import Neighbours, WalkMemory
 from prc_cli.methods.fused.thresholds import WalkThresholds
@@ -82,7 +82,7 @@ def follow_ground(
 
     ``range_m`` (lines, M) float32, metres.
     """
-    above, walked, kept, start_m, lost, missed = kernels.walk_ground(
+    above, walked, kept, start_m, lost, missed = walk_ground(
         range_m,
         plane.beams,
         neighbours,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_2, I32, U8, Mask, Mask_2
-from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.records import Beams, Neighbours, Points, Sides, WalkMemory
 from prc_cli.methods.fused.thresholds import WalkThresholds
 
@@ -342,7 +342,7 @@ def _start_of_line(
     return start_m, lost
 
 
-@kernel()
+@loop()
 def walk_ground(
     range_m: F32_2,
     beams: Beams,

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from prc_cli import kernels
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, U8
+from prc_cli.methods.fused.neighbours_loops import directions, near_counts, smooth_counts
 from prc_cli.methods.fused.plane import ScanPlane
 from prc_cli.methods.fused.thresholds import ChordThresholds, NearThresholds, Smoothness
 
@@ -16,7 +16,7 @@ def near_neighbours(window_m: F32, plane: ScanPlane, limits: NearThresholds) -> 
     Nearness is measured in the scan plane, not in range: at grazing incidence the ranges on one
     surface differ by metres from shot to shot.
     """
-    counts: U8 = kernels.near_counts(window_m, plane.sine, plane.cosine, plane.step_rad, limits)
+    counts: U8 = near_counts(window_m, plane.sine, plane.cosine, plane.step_rad, limits)
     return counts
 
 
@@ -29,9 +29,7 @@ def smooth_pairs(
 ) -> U8:
     """Count for every shot the pairs of neighbours on a smooth surface with it."""
     thresholds = limits.thresholds(noise_m, float(plane.step_rad))
-    counts: U8 = kernels.smooth_counts(
-        window_m, plane.sine, plane.cosine, plane.step_rad, thresholds
-    )
+    counts: U8 = smooth_counts(window_m, plane.sine, plane.cosine, plane.step_rad, thresholds)
     return counts
 
 
@@ -43,7 +41,5 @@ def chords(
     limits: ChordThresholds,
 ) -> tuple[U8, U8]:
     """Count the upright and the level chords through every shot."""
-    upright, level = kernels.directions(
-        range_m, smooth, plane.sine, plane.cosine, plane.step_rad, limits
-    )
+    upright, level = directions(range_m, smooth, plane.sine, plane.cosine, plane.step_rad, limits)
     return upright, level

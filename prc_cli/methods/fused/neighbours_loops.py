@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_1, F32_2, I32, U8, U8_2
-from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.records import Beams, FiveLines, Points
 from prc_cli.methods.fused.thresholds import ChordThresholds, NearThresholds, SmoothThresholds
 
@@ -29,7 +29,7 @@ PAD = MOST_COLUMNS + 2
 """Empty columns beside a line, in which chords may end."""
 
 
-@kernel()
+@loop()
 def plane_points(range_m: F32_2, sine: F32_1, cosine: F32_1) -> tuple[F32_2, F32_2]:
     """Turn ranges into points of the scan plane.
 
@@ -158,7 +158,7 @@ def _count_across(
         )
 
 
-@kernel()
+@loop()
 def near_counts(
     range_m: F32_2,
     sine: F32_1,
@@ -404,7 +404,7 @@ def _pairs_across(
         )
 
 
-@kernel()
+@loop()
 def smooth_counts(
     range_m: F32_2,
     sine: F32_1,
@@ -531,7 +531,7 @@ def _count_chords(
         )
 
 
-@kernel()
+@loop()
 def directions(
     range_m: F32_2,
     smooth: U8_2,

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import Label, Reason
+from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_2, U8, U8_2
-from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.thresholds import AgainThresholds
 
 Words = NDArray[np.uint64]
@@ -163,7 +163,7 @@ def _is_leaf(
     return bool(np.float32(leaves) >= thresholds.leaves)
 
 
-@kernel()
+@loop()
 def noise_again(
     labels: U8_2,
     voted: U8_2,

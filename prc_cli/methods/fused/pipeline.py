@@ -24,6 +24,7 @@ from pydantic import Field
 
 from prc_cli.core.classes import LABEL_BITS, VOTED, Label, Reason
 from prc_cli.core.config import Params
+from prc_cli.core.loops import loops_of
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock
 from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
 from prc_cli.methods.base import (
@@ -37,6 +38,20 @@ from prc_cli.methods.base import (
     Wanted,
     beams_of,
     check_block,
+)
+from prc_cli.methods.fused import (
+    classes_loops,
+    confidence_loops,
+    curbs_loops,
+    flanks_loops,
+    ground_loops,
+    neighbours_loops,
+    noise_loops,
+    spacing_loops,
+    stems_loops,
+    strips_loops,
+    texture_loops,
+    votes_loops,
 )
 from prc_cli.methods.fused.classes import (
     BESIDE_THIN_LINES,
@@ -112,22 +127,21 @@ FARTHEST_BESIDE = 4
 FOREST_LABELS = frozenset(
     {Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM}
 )
-STEPS = (
-    "classes",
-    "curbs",
-    "flanks",
-    "ground",
-    "neighbours",
-    "noise",
-    "spacing",
-    "strips",
-    "texture",
-    "votes",
+LOOPS = loops_of(
+    classes_loops,
+    curbs_loops,
+    flanks_loops,
+    ground_loops,
+    neighbours_loops,
+    noise_loops,
+    spacing_loops,
+    strips_loops,
+    texture_loops,
+    votes_loops,
 )
-KERNELS = frozenset(f"fused.{step}" for step in STEPS)
-FOREST_KERNELS = frozenset({"fused.stems"})
-CONFIDENCE_KERNELS = frozenset(
-    {"fused.confidence", "fused.flanks", "fused.neighbours", "fused.strips", "fused.texture"}
+FOREST_LOOPS = loops_of(stems_loops)
+CONFIDENCE_LOOPS = loops_of(
+    confidence_loops, flanks_loops, neighbours_loops, strips_loops, texture_loops
 )
 
 
@@ -251,14 +265,13 @@ class Fused(Classifier[FusedScanner, FusedState]):
     def needs(self) -> Needs:
         """Blocks with beam angles, and look-ahead for all lines that labels depend on."""
         is_forest = self.params.environment == "forest"
-        kernels = FOREST_KERNELS if is_forest else KERNELS
         most_noise_m = FOREST_NOISE_M if is_forest else math.inf
         return Needs(
-            kernels,
+            FOREST_LOOPS if is_forest else LOOPS,
             self.params.lines_per_block,
             AROUND_LINES if is_forest else FOLLOWING_LINES,
             most_noise_m=most_noise_m,
-            confidence_kernels=CONFIDENCE_KERNELS,
+            confidence_loops=CONFIDENCE_LOOPS,
         )
 
     @property

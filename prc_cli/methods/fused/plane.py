@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prc_cli import kernels
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, F64, I32
+from prc_cli.methods.fused.neighbours_loops import plane_points
 from prc_cli.methods.fused.records import Beams, Sides
 
 AROUND_LINES = 5
@@ -95,5 +95,5 @@ def points_of(range_m: F32, plane: ScanPlane) -> tuple[F32, F32]:
 
     ``range_m`` (lines, M) float32, metres; returns side_m, height_m : (lines, M) float32, metres.
     """
-    side, height = kernels.plane_points(range_m, plane.sine, plane.cosine)
+    side, height = plane_points(range_m, plane.sine, plane.cosine)
     return side, height

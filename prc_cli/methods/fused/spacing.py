@@ -17,11 +17,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli import kernels
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.methods.fused.neighbours import smooth_pairs
 from prc_cli.methods.fused.plane import ScanPlane
+from prc_cli.methods.fused.spacing_loops import leaf_repeats
 from prc_cli.methods.fused.thresholds import Smoothness, Spaced, SpacingThresholds
 
 LAGS = (1, 2, 4, 8, 16)
@@ -78,7 +78,7 @@ def count_repeated_leaves(
     end = len(window_m) - SPACED_LINES + BESIDE_LINES + AHEAD_LINES
     first = SPACED_LINES + begin
     counts = [
-        kernels.leaf_repeats(
+        leaf_repeats(
             window_m[first + a - MOST_LAG : first + b],
             -(first_line + begin + a) % EVERY_LINE,
             thresholds(stretch_noise_m),

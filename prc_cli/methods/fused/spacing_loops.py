@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from prc_cli.core.loops import helper, loop
 from prc_cli.core.types import F32, F32_2, I32, I32_3, U8
-from prc_cli.kernels.cache import helper, kernel
 from prc_cli.methods.fused.thresholds import SpacingThresholds
 
 LAGS = (1, 2, 4, 8, 16)
@@ -82,7 +82,7 @@ def _count_again(
     row[1] = same
 
 
-@kernel()
+@loop()
 def leaf_repeats(range_m: F32_2, first: int, thresholds: SpacingThresholds) -> I32_3:
     """Count the leaves of a line that earlier lines meet again, at every lag.
 

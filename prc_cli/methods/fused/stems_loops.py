@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.classes import Label, Reason
+from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_2, F64, F64_1, F64_2, I32, I32_2, U8, U8_2, Mask, Mask_2
-from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.records import RunPoints, RunStarts
 from prc_cli.methods.fused.thresholds import (
     ForestThresholds,
@@ -94,7 +94,7 @@ def _low_shots(
     return n_shots
 
 
-@kernel()
+@loop()
 def ground_profiles(
     range_m: F32_2,
     sine: F64_1,
@@ -167,7 +167,7 @@ def ground_profiles(
     return profiles
 
 
-@kernel()
+@loop()
 def ground_heights(
     range_m: F32_2,
     sine: F64_1,
@@ -413,7 +413,7 @@ def _line_runs(
     return n_runs
 
 
-@kernel()
+@loop()
 def upright_runs(
     range_m: F32_2,
     height_m: F32_2,
@@ -513,7 +513,7 @@ def _join_lines(
             last_before = run_before
 
 
-@kernel()
+@loop()
 def stem_shots(
     range_m: F32_2,
     runs: I32_2,
@@ -687,7 +687,7 @@ def _has_near_shot(
     return False
 
 
-@kernel()
+@loop()
 def forest_labels(
     range_m: F32_2,
     height_m: F32_2,

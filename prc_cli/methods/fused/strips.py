@@ -9,11 +9,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prc_cli import kernels
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, U8
+from prc_cli.methods.fused.flanks_loops import find_flanks
 from prc_cli.methods.fused.plane import ScanPlane
 from prc_cli.methods.fused.records import FilledSlots, Neighbours, Walls
+from prc_cli.methods.fused.strips_loops import (
+    fill_strips,
+    find_columns,
+    find_walls,
+    widen_levels,
+    widen_slots,
+)
 from prc_cli.methods.fused.thresholds import Limits
 
 
@@ -50,16 +57,16 @@ def measure_strips(
 
     ``window_m`` (lines + 4 + 2 n, M) float32, metres; ``above_m`` (lines + 4, M) float32, metres.
     """
-    kinds = kernels.find_columns(window_m, above_m, neighbours, plane.beams, limits.columns)
+    kinds = find_columns(window_m, above_m, neighbours, plane.beams, limits.columns)
     beside = (len(window_m) - len(above_m)) // 2
     range_m = window_m[beside : len(window_m) - beside]
-    slots, sums, levels = kernels.fill_strips(
+    slots, sums, levels = fill_strips(
         range_m, above_m, neighbours, kinds, plane.beams, plane.step_rad, limits.strips
     )
-    wide_levels = kernels.widen_levels(levels)
+    wide_levels = widen_levels(levels)
     flanks = np.zeros((len(wide_levels), sums.wall_m.shape[1]), np.uint8)
     if limits.flanks is not None:
-        flanks, wide_levels = kernels.find_flanks(
+        flanks, wide_levels = find_flanks(
             range_m,
             above_m,
             neighbours.upright,
@@ -69,6 +76,6 @@ def measure_strips(
             wide_levels,
             limits.flanks,
         )
-    walls = kernels.find_walls(sums, flanks, limits.walls)
-    wide_slots = FilledSlots(kernels.widen_slots(slots.by_any), kernels.widen_slots(slots.by_rough))
+    walls = find_walls(sums, flanks, limits.walls)
+    wide_slots = FilledSlots(widen_slots(slots.by_any), widen_slots(slots.by_rough))
     return Strips(wide_slots, walls, wide_levels, kinds[2:-2])

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_2, I32, U8, U8_2, U64_2
-from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.records import (
     FENCE,
     FEW_SHOTS,
@@ -301,7 +301,7 @@ def _kind_of_run(
     return POST if 2 * n_round > n_sampled else np.uint8(0)
 
 
-@kernel()
+@loop()
 def find_columns(
     window_m: F32_2,
     above_m: F32_2,
@@ -556,7 +556,7 @@ def _mark_levels(
         levels[low : high + 1] = 1
 
 
-@kernel()
+@loop()
 def fill_strips(
     range_m: F32_2,
     above_m: F32_2,
@@ -646,7 +646,7 @@ def fill_strips(
     return FilledSlots(every, rough), StripSums(length, wall, place, top), levels
 
 
-@kernel()
+@loop()
 def widen_slots(slots: U64_2) -> U64_2:
     """Combine the slots of a line with those of the lines and strips around.
 
@@ -671,7 +671,7 @@ def widen_slots(slots: U64_2) -> U64_2:
     return wide
 
 
-@kernel()
+@loop()
 def widen_levels(levels: U8_2) -> U8_2:
     """Combine the level surfaces of a line with those of the lines around.
 
@@ -742,7 +742,7 @@ def _look_out(
                 walls.ahead_m[b] = wall_at[last]
 
 
-@kernel()
+@loop()
 def find_walls(sums: StripSums, flanks: U8_2, thresholds: WallThresholds) -> Walls:
     """Find the walls beside every line: strips with enough smooth upright surface.
 

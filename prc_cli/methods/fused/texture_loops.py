@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from prc_cli.core.loops import helper, loop
 from prc_cli.core.types import F32, F32_2, I32, U8, U8_2
-from prc_cli.kernels.cache import helper, kernel
 from prc_cli.methods.fused.records import FiveLines
 from prc_cli.methods.fused.thresholds import DepthThresholds
 
@@ -154,7 +154,7 @@ def _raise_shares(
         shares[i] = max(shares[i], at_depth)
 
 
-@kernel()
+@loop()
 def mean_smoothness(
     range_m: F32_2,
     near: U8_2,

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import Label
+from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_2, I32, U8, U8_2
-from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.fused.records import Beams, VotingLine
 
 Pairs = NDArray[np.uint32]
@@ -147,7 +147,7 @@ def _vote_line(
         voted[i] = _winner(votes, labels[i])
 
 
-@kernel()
+@loop()
 def vote_labels(
     labels: U8_2,
     range_m: F32_2,

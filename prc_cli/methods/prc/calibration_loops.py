@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from prc_cli.core.loops import helper, loop
 from prc_cli.core.types import F32, F32_1, F64, F64_1, I64_1, I64_2, Mask_2
-from prc_cli.kernels.cache import helper, kernel
 
 
 @helper
@@ -40,7 +40,7 @@ def _first_above(limits: F64, value: float) -> int:
     return low
 
 
-@kernel()
+@loop()
 def support_histogram(
     window: F32_1,
     n_lines: int,
@@ -95,7 +95,7 @@ def support_histogram(
     return counts
 
 
-@kernel()
+@loop()
 def bend_histogram(
     window: F32_1,
     supported: Mask_2,

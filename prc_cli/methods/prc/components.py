@@ -11,10 +11,10 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from prc_cli import kernels
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
 from prc_cli.core.types import I32, I64, Mask
+from prc_cli.methods.prc.components_loops import carry_labels, join_and_fill
 
 
 class ComponentsParams(Params):
@@ -94,7 +94,7 @@ def join(supported: Mask, background: Mask) -> Joined:
     >>> join(np.array([[1, 1, 1, 0, 1]], dtype=bool), np.array([[0, 0, 1, 0, 0]], dtype=bool)).image
     array([[1, 1, 1, 0, 2]], dtype=int32)
     """
-    return Joined(*kernels.join_and_fill(supported, background))
+    return Joined(*join_and_fill(supported, background))
 
 
 @stage("votes")
@@ -123,7 +123,7 @@ def identify(
            [7, 7, 7, 0, 8]])
     """
     n_components = len(joined.pixels) - 1
-    ids = kernels.carry_labels(joined.image[0], last_line.copy(), n_components, params.min_votes)
+    ids = carry_labels(joined.image[0], last_line.copy(), n_components, params.min_votes)
     if params.forks == "largest":
         ids = _keep_largest_pieces(ids, joined.pixels)
     new = np.flatnonzero(ids[1:] == 0) + 1

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from prc_cli.core.loops import helper, loop
 from prc_cli.core.types import I32, I32_1, I32_2, I64, I64_1, Mask, Mask_2
-from prc_cli.kernels.cache import helper, kernel
 
 ONES = 0x0101010101010101
 """Eight booleans that are all true, as a number."""
@@ -135,7 +135,7 @@ def _draw_runs(
     return drawn[:size].reshape((len(first_run) - 1, n_columns)), pixels
 
 
-@kernel()
+@loop("prc_cli.reference.prc.stages")
 def label_components(image: Mask_2) -> tuple[I32_2, int]:
     """Find the 4-connected components of a binary image, in the raster order of their first pixels.
 
@@ -212,7 +212,7 @@ def _most_frequent(components: I32, line: int, column: int) -> int:
     return best
 
 
-@kernel()
+@loop("prc_cli.reference.prc.stages")
 def join_and_fill(supported: Mask_2, background: Mask_2) -> tuple[I32_2, I64_1]:
     """Connect supported shots and give those of the background to the component around them.
 
@@ -308,7 +308,7 @@ def _sort_votes(component: I32, label: I64, n: int) -> I32:
     return order
 
 
-@kernel()
+@loop("prc_cli.reference.prc.stages")
 def carry_labels(
     first_line: I32_1,
     last_line: I64_1,

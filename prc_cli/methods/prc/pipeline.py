@@ -16,6 +16,7 @@ from pydantic import Field
 
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
+from prc_cli.core.loops import loops_of
 from prc_cli.core.stream import CriticalZetas, LabelledBlock, ReadTally, ScanBlock
 from prc_cli.core.types import F32, I64, U8, Mask
 from prc_cli.methods.base import (
@@ -29,6 +30,7 @@ from prc_cli.methods.base import (
     Wanted,
     check_block,
 )
+from prc_cli.methods.prc import components_loops, support_loops, surfaces_loops
 from prc_cli.methods.prc.components import Components, ComponentsParams, Joined, identify, join
 from prc_cli.methods.prc.support import (
     BackgroundParams,
@@ -70,7 +72,7 @@ Scanners in forests have 2 to 3 mm; 10 mm cost 0.1 of F1.
 _EVERYWHERE = frozenset(
     {Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION}
 )
-KERNELS = frozenset({"prc.components", "prc.support", "prc.surfaces"})
+LOOPS = loops_of(components_loops, support_loops, surfaces_loops)
 
 
 class PrcParams(MethodParams):
@@ -155,7 +157,7 @@ class Prc(Classifier[int, PrcState]):
     def needs(self) -> Needs:
         """Blocks of k lines; only ranges are used."""
         most_noise_m = FOREST_NOISE_M if self.params.environment == "forest" else math.inf
-        return Needs(KERNELS, self.params.lines_per_block, beams=False, most_noise_m=most_noise_m)
+        return Needs(LOOPS, self.params.lines_per_block, beams=False, most_noise_m=most_noise_m)
 
     @property
     def usual(self) -> UsualLabels:

@@ -11,11 +11,11 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from prc_cli import kernels
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
 from prc_cli.core.stream import CriticalZetas
 from prc_cli.core.types import F32, Mask
+from prc_cli.methods.prc.support_loops import background_mask, support_mask
 
 N_IN_SLICE = 8
 """Neighbours in the line: i - 4 .. i + 4 without i (eq. 8)."""
@@ -137,7 +137,7 @@ def support(window: F32, points_per_line: int, params: SupportParams) -> Mask:
     """
     n_lines = (len(window) - 2 * window_reach(points_per_line)) // points_per_line
     min_in_slice, min_adjacent = required_counts(params)
-    return kernels.support_mask(
+    return support_mask(
         window, n_lines, points_per_line, params.zeta_p, params.zeta_s, min_in_slice, min_adjacent
     )
 
@@ -192,7 +192,7 @@ def background(window: F32, supported: Mask, params: BackgroundParams) -> Mask:
     >>> background(window, np.ones((1, 6), dtype=bool), BackgroundParams()).astype(int)
     array([[0, 0, 1, 1, 0, 0]])
     """
-    return kernels.background_mask(window, supported, FORMS[params.form], params.alpha, params.d_c)
+    return background_mask(window, supported, FORMS[params.form], params.alpha, params.d_c)
 
 
 _IN_LINE = (-4, -3, -2, -1, 1, 2, 3, 4)

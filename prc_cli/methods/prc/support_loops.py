@@ -10,19 +10,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from prc_cli.core.loops import loop
 from prc_cli.core.types import F32_1, Mask_2
-from prc_cli.kernels.cache import kernel
 
 CENTRED = 0
 LITERAL = 1
 ABS = 2
 GUARD = 3
 """Readings of eq. 9, as numbers."""
-STRIP = 4096
-"""Ranges that are counted in narrow numbers at a time."""
 
 
-@kernel()
+@loop("prc_cli.reference.prc.stages")
 def support_mask(
     window: F32_1,
     n_lines: int,
@@ -94,7 +92,7 @@ def support_mask(
     return supported
 
 
-@kernel()
+@loop("prc_cli.reference.prc.stages")
 def background_mask(
     window: F32_1,
     supported: Mask_2,
@@ -143,35 +141,3 @@ def background_mask(
                 # ... except in a negation: there NaN needs a test of its own
                 row[h] = (not (alpha < share < upper)) & (a == a) & (b == b) & inside[h]
     return marked
-
-
-@kernel()
-def clean_ranges(ranges: F32_1, low: np.float32, high: np.float32) -> tuple[F32_1, int, int, int]:
-    """Make ranges out of bounds missing, and count them by their reason.
-
-    ``ranges`` (n,) float32, metres; returns ``cleaned`` (n,) float32, metres.
-    """
-    n = len(ranges)
-    cleaned = np.empty(n, np.float32)
-    n_not_finite = 0
-    n_refused = 0
-    n_positive = 0
-    for first in range(0, n, STRIP):
-        strip = ranges[first : first + STRIP]
-        kept = cleaned[first : first + STRIP]
-        # as wide as a range, for the compiler
-        infinite = np.int32(0)
-        refused = np.int32(0)
-        positive = np.int32(0)
-        for i in range(len(strip)):
-            r = strip[i]
-            good = (r > low) & (r <= high)
-            kept[i] = r if good else np.float32(np.nan)
-            finite = abs(r) < np.float32(np.inf)
-            infinite += np.int32(abs(r) == np.float32(np.inf))
-            refused += np.int32((not good) & finite)
-            positive += np.int32((not good) & finite & (r > np.float32(0)))
-        n_not_finite += int(infinite)
-        n_refused += int(refused)
-        n_positive += int(positive)
-    return cleaned, n_not_finite, n_refused - n_positive, n_positive

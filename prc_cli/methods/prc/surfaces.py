@@ -12,11 +12,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from prc_cli import kernels
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
 from prc_cli.core.types import I32, I64, Mask
 from prc_cli.methods.prc.components import Components
+from prc_cli.methods.prc.components_loops import label_components
+from prc_cli.methods.prc.surfaces_loops import dilate, select_components
 
 PUBLISHED_AREA = 30
 """A, pixels, for blocks of ..."""
@@ -189,10 +190,8 @@ def surfaces(
     array([[1, 1, 1, 3, 0, 3],
            [1, 1, 1, 1, 0, 0]])
     """
-    covered = kernels.dilate(
-        kernels.select_components(supported, components.image, small), params.gamma
-    )
-    patches, n_patches = kernels.label_components(covered) if with_patches else (None, 0)
+    covered = dilate(select_components(supported, components.image, small), params.gamma)
+    patches, n_patches = label_components(covered) if with_patches else (None, 0)
     return Surfaces(supported, components, covered, patches, n_patches)
 
 
@@ -209,8 +208,6 @@ def smooth_last_line(
     """
     reach = slice(-min(params.gamma + 1, len(supported)), None)
     image = components.image[reach]
-    covered = kernels.dilate(
-        kernels.select_components(supported[reach], image, small), params.gamma
-    )
+    covered = dilate(select_components(supported[reach], image, small), params.gamma)
     last_line: I64 = np.where(supported[-1] & ~covered[-1], components.ids[image[-1]], 0)
     return last_line

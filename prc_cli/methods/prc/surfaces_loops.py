@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from prc_cli.core.loops import loop
 from prc_cli.core.types import F32_1, I32_2, I64_1, U8_1, U8_2, Mask_1, Mask_2
-from prc_cli.kernels.cache import kernel
 
 
-@kernel()
+@loop("prc_cli.reference.prc.stages")
 def select_components(supported: Mask_2, components: I32_2, wanted: Mask_1) -> Mask_2:
     """Mark the supported shots of some components.
 
@@ -26,7 +26,7 @@ def select_components(supported: Mask_2, components: I32_2, wanted: Mask_1) -> M
     return selected
 
 
-@kernel()
+@loop("prc_cli.reference.prc.stages")
 def dilate(image: Mask_2, iterations: int) -> Mask_2:
     """Dilate a binary image with the 4-neighbour cross; outside the image is background.
 
@@ -52,7 +52,7 @@ def dilate(image: Mask_2, iterations: int) -> Mask_2:
     return grown
 
 
-@kernel()
+@loop("prc_cli.reference.prc.stages")
 def count_covered(
     supported: Mask_2,
     covered: Mask_2,
@@ -82,7 +82,7 @@ def count_covered(
     return counts
 
 
-@kernel()
+@loop("prc_cli.reference.prc.stages")
 def draw_components(
     window: F32_1,
     supported: Mask_2,
@@ -118,7 +118,7 @@ def draw_components(
     return labels
 
 
-@kernel()
+@loop("prc_cli.reference.prc.stages")
 def draw_columns(
     window: F32_1,
     supported: Mask_2,

@@ -8,13 +8,13 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from prc_cli import kernels
 from prc_cli.core.classes import Label
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, I64, U8, Mask
 from prc_cli.methods.prc.components import Components
 from prc_cli.methods.prc.surfaces import Surfaces
+from prc_cli.methods.prc.surfaces_loops import count_covered, draw_columns, draw_components
 
 _OTHERS = np.array([Label.MISSING, Label.NOISE, Label.VEGETATION], dtype=np.uint8)
 
@@ -62,7 +62,7 @@ class Totals:
 def count_smooth(surfaces: Surfaces) -> I64:
     """Count the smooth shots of every component, (n + 1,) int64."""
     h = surfaces.components
-    counts = h.pixels - kernels.count_covered(
+    counts = h.pixels - count_covered(
         surfaces.supported, surfaces.covered, h.image, len(h.pixels) - 1
     )
     counts[0] = 0
@@ -106,9 +106,7 @@ def urban(window: F32, surfaces: Surfaces, ground: int) -> U8:
     """
     h = surfaces.components
     label_of = np.where(h.ids == ground, np.uint8(Label.GROUND), np.uint8(Label.BUILDING))
-    return kernels.draw_components(
-        window, surfaces.supported, surfaces.covered, h.image, label_of, _OTHERS
-    )
+    return draw_components(window, surfaces.supported, surfaces.covered, h.image, label_of, _OTHERS)
 
 
 class ForestParams(Params):
@@ -142,7 +140,7 @@ def forest(window: F32, surfaces: Surfaces, params: ForestParams) -> U8:
     labels_of = np.array(
         [Label.MISSING, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM], dtype=np.uint8
     )
-    return kernels.draw_columns(
+    return draw_columns(
         window,
         surfaces.supported,
         surfaces.covered,

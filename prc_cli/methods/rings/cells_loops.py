@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from prc_cli.core.loops import helper, loop
 from prc_cli.core.types import (
     F32,
     F32_2,
@@ -20,7 +21,6 @@ from prc_cli.core.types import (
     Mask_1,
     Mask_2,
 )
-from prc_cli.kernels.cache import helper, kernel
 from prc_cli.methods.rings.thresholds import (
     CellThresholds,
     LonelyThresholds,
@@ -85,7 +85,7 @@ def _smooth_bits(
     return SMOOTH | ASKED if is_on_line else ASKED
 
 
-@kernel()
+@loop()
 def mark_shots(
     xyz_m: F32_3,
     place: F32_2,
@@ -145,7 +145,7 @@ def mark_shots(
     return marks
 
 
-@kernel()
+@loop()
 def lonely_shots(
     range_m: F32_2,
     intensity: F32_2,
@@ -191,7 +191,7 @@ def lonely_shots(
     return lonely
 
 
-@kernel()
+@loop()
 def fill_cells(
     xyz_m: F32_3,
     above_m: F32_2,
@@ -284,7 +284,7 @@ def _body_top(levels: int, gap: int) -> int:
     return top
 
 
-@kernel()
+@loop()
 def measure_cells(
     grid: I32_2,
     where: I32_2,
@@ -350,7 +350,7 @@ def measure_cells(
     return measures
 
 
-@kernel()
+@loop()
 def mean_around(
     grid: I32_2,
     where: I32_2,
@@ -382,7 +382,7 @@ def _root(parent: I32, c: int) -> int:
     return c
 
 
-@kernel()
+@loop()
 def join_cells(grid: I32_2, where: I32_2, use: Mask_1) -> I32_1:
     """Return the body of every cell as the number of its first cell, (cells,) int32; -1 = unused.
 
@@ -421,7 +421,7 @@ def _is_low(
     return bool(inside and above_m > thresholds.below_m and above_m <= thresholds.foot_m)
 
 
-@kernel()
+@loop()
 def low_plants(
     xyz_m: F32_3,
     above_m: F32_2,

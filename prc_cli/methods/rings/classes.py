@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli import kernels
 from prc_cli.core.classes import Reason
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
+from prc_cli.methods.rings import cells_loops
+from prc_cli.methods.rings.cells_loops import join_cells, mean_around, measure_cells
 from prc_cli.methods.rings.ground import Polar
 from prc_cli.methods.rings.thresholds import (
     BINS_PER_ROOT_M,
@@ -60,7 +61,7 @@ class Cells:
 @stage("marks")
 def mark_shots(polar: Polar, above_m: F32, limits: Limits) -> U8:
     """Mark shots by the surfaces around them; see :func:`cells_loops.mark_shots`."""
-    marks: U8 = kernels.mark_shots(
+    marks: U8 = cells_loops.mark_shots(
         polar.xyz_m,
         polar.place,
         above_m,
@@ -77,7 +78,7 @@ def lonely_shots(range_m: F32, intensity: F32 | None, limits: Limits) -> Mask:
     """Mark snow, rain and dust; see :func:`cells_loops.lonely_shots`."""
     is_lit = intensity is not None and is_varied(intensity)
     light = intensity if intensity is not None and is_lit else np.zeros((1, 1), np.float32)
-    lonely: Mask = kernels.lonely_shots(
+    lonely: Mask = cells_loops.lonely_shots(
         range_m, np.ascontiguousarray(light, np.float32), is_lit, limits.lonely
     )
     return lonely
@@ -135,10 +136,10 @@ def fill_cells(
     thresholds: CellThresholds,
 ) -> Cells:
     """Sum up and measure the shots of every column of space."""
-    levels, sums, where, grid, of_shot = kernels.fill_cells(
+    levels, sums, where, grid, of_shot = cells_loops.fill_cells(
         polar.xyz_m, above_m, marks, lonely, thresholds
     )
-    measures = kernels.measure_cells(grid, where, sums, levels, thresholds)
+    measures = measure_cells(grid, where, sums, levels, thresholds)
     return Cells(grid, of_shot, where, sums, levels, measures)
 
 
@@ -180,9 +181,7 @@ def is_foliage(cells: Cells, limits: Limits) -> Mask:
     score = score + weights.filled * n_levels / np.maximum(top, 1.0)
     score = score + weights.top * np.minimum(top * limits.cells.storey_m, weights.most_top_m)
     surest = np.clip(score, -weights.surest, weights.surest)
-    foliage: Mask = (
-        kernels.mean_around(cells.grid, cells.where, surest, np.sqrt(cells.sums[:, 0])) > 0
-    )
+    foliage: Mask = mean_around(cells.grid, cells.where, surest, np.sqrt(cells.sums[:, 0])) > 0
     return foliage
 
 
@@ -216,7 +215,7 @@ class Bodies:
         """Join the cells whose bodies are not higher than a limit [m]."""
         levels = cells.measures[:, 7].astype(np.int64)
         is_low = (levels > 0) & (levels * thresholds.storey_m <= body_m)
-        body = kernels.join_cells(cells.grid, cells.where, is_low)
+        body = join_cells(cells.grid, cells.where, is_low)
         # bodies have the number of their first cell
         number = np.cumsum(body == np.arange(len(body))) - 1
         of_cell = number[body[is_low]]
@@ -291,7 +290,7 @@ def low_plants(
     limits: Limits,
 ) -> Mask:
     """Mark the plants among low shots; see :func:`cells_loops.low_plants`."""
-    is_plant: Mask = kernels.low_plants(polar.xyz_m, above_m, marks, limits.soil)
+    is_plant: Mask = cells_loops.low_plants(polar.xyz_m, above_m, marks, limits.soil)
     return is_plant
 
 

@@ -13,10 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli import kernels
 from prc_cli.core.frame import SensorFrame, turning
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, F64
+from prc_cli.methods.rings.ground_loops import (
+    heights_above,
+    lowest_heights,
+    smooth_surface,
+    walk_outwards,
+)
 from prc_cli.methods.rings.thresholds import BINS_PER_ROOT_M, N_BINS, GroundThresholds
 
 USUAL_STEP_RAD = math.radians(0.2)
@@ -168,7 +173,7 @@ class Lowest:
     @classmethod
     def of(cls, polar: Polar, up: float, thresholds: GroundThresholds) -> Lowest:
         """Fit a plane to the lowest heights near the scanner, from the most frequent one."""
-        low: F32 = kernels.lowest_heights(
+        low: F32 = lowest_heights(
             polar.xyz_m, polar.place, up, polar.sector_lines, N_BINS, thresholds.pair_m
         )
         x_m, y_m = polar.centres()
@@ -292,10 +297,10 @@ def turned(xyz_m: F32, turn: Matrix | None) -> F32:
 def above_ground(polar: Polar, low: Lowest, thresholds: GroundThresholds) -> F32:
     """Return the height of every shot above the ground, (lines, M) float32 [m]; NaN = missing."""
     base = low.plane.heights_at(*polar.centres())
-    start, seen = kernels.walk_outwards(
+    start, seen = walk_outwards(
         (low.height_m - base).astype(np.float32), polar.middle_m, thresholds
     )
-    surface = kernels.smooth_surface(
+    surface = smooth_surface(
         start, seen.astype(np.float64), start, thresholds.stiff, ROUNDS, polar.is_round
     )
     for _ in range(CORRECTIONS):
@@ -304,9 +309,7 @@ def above_ground(polar: Polar, low: Lowest, thresholds: GroundThresholds) -> F32
         weight = np.where(
             number >= thresholds.shots, np.minimum(number / thresholds.shots, thresholds.most), 0.0
         )
-        surface = kernels.smooth_surface(
-            better, weight, surface, thresholds.stiff, ROUNDS, polar.is_round
-        )
+        surface = smooth_surface(better, weight, surface, thresholds.stiff, ROUNDS, polar.is_round)
     return _heights(polar, low.plane, base + surface, thresholds)[0]
 
 
@@ -316,7 +319,7 @@ def _heights(
     surface_m: F64,
     thresholds: GroundThresholds,
 ) -> tuple[F32, F64, F64]:
-    heights: tuple[F32, F64, F64] = kernels.heights_above(
+    heights: tuple[F32, F64, F64] = heights_above(
         polar.xyz_m,
         polar.place,
         plane.up,

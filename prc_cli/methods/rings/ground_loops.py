@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from prc_cli.core.loops import helper, loop
 from prc_cli.core.types import F32_2, F32_3, F64_1, F64_2, Mask_2
-from prc_cli.kernels.cache import helper, kernel
 from prc_cli.methods.rings.thresholds import GroundThresholds
 
 _FAR = 1e9
@@ -16,7 +16,7 @@ _SHARES = np.array([1.0, 2.0, 1.0])
 """Weights of the sectors beside a sector, and of itself."""
 
 
-@kernel()
+@loop()
 def lowest_heights(
     xyz_m: F32_3,
     place: F32_2,
@@ -61,7 +61,7 @@ def lowest_heights(
     return lowest
 
 
-@kernel()
+@loop()
 def walk_outwards(
     off_m: F32_2, middle_m: F64_1, thresholds: GroundThresholds
 ) -> tuple[F64_2, Mask_2]:
@@ -110,7 +110,7 @@ def walk_outwards(
     return height, seen
 
 
-@kernel()
+@loop()
 def smooth_surface(
     height_m: F64_2,
     weight: F64_2,
@@ -153,7 +153,7 @@ def _between(low: float, high: float, share: float) -> float:
     return low + share * (high - low)
 
 
-@kernel()
+@loop()
 def heights_above(
     xyz_m: F32_3,
     place: F32_2,

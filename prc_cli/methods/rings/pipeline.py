@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from prc_cli.core.classes import LABEL_BITS, Label
+from prc_cli.core.loops import loops_of
 from prc_cli.core.stream import MAX_RINGS, LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.methods.base import (
@@ -30,6 +31,7 @@ from prc_cli.methods.base import (
     check_block,
 )
 from prc_cli.methods.returns import label_extra_returns
+from prc_cli.methods.rings import cells_loops, ground_loops
 from prc_cli.methods.rings.classes import (
     Cells,
     fill_cells,
@@ -50,6 +52,7 @@ from prc_cli.methods.rings.ground import (
 )
 from prc_cli.methods.rings.thresholds import FEW, MANY, MANY_RINGS, Limits
 
+LOOPS = loops_of(cells_loops, ground_loops)
 WIDEST_FAN_RAD = math.radians(60)
 """Angle between the outermost rings of a spinning scanner, at most.
 
@@ -140,7 +143,7 @@ class Rings(Classifier[F64, RingsState]):
     def needs(self) -> Needs:
         """Blocks with beam angles and intensities; nothing of the lines after a block."""
         return Needs(
-            frozenset({"rings"}),
+            LOOPS,
             self.params.lines_per_block,
             1,
             intensity=True,

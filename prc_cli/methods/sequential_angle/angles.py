@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from prc_cli import kernels
 from prc_cli.core.types import F32, I32, U8
+from prc_cli.methods.sequential_angle import angles_loops
 from prc_cli.methods.sequential_angle.lines import VerticalLines
 from prc_cli.methods.sequential_angle.thresholds import ChordThresholds
 
@@ -52,7 +52,9 @@ def signed_angles(lines: VerticalLines, thresholds: ChordThresholds) -> SignedAn
     >>> found.ahead
     array([[ 1,  2,  3,  4, -1]], dtype=int32)
     """
-    signed_deg, ahead = kernels.signed_angles(lines.range_m, lines.xyz_m, lines.n_beams, thresholds)
+    signed_deg, ahead = angles_loops.signed_angles(
+        lines.range_m, lines.xyz_m, lines.n_beams, thresholds
+    )
     return SignedAngles(signed_deg, ahead)
 
 
@@ -61,7 +63,7 @@ def angle_differences(signed_deg: F32) -> F32:
 
     ``signed_deg`` (R, n) float32, degrees; returns (R, n) float32, degrees.
     """
-    return kernels.angle_differences(signed_deg)
+    return angles_loops.angle_differences(signed_deg)
 
 
 def line_angles(lines: VerticalLines, ahead: I32, surface: U8) -> F32:
@@ -75,4 +77,4 @@ def line_angles(lines: VerticalLines, ahead: I32, surface: U8) -> F32:
 
     ``ahead`` (R, n) int32; ``surface`` (R, n) uint8; returns (R, n) float32, degrees.
     """
-    return kernels.line_angles(lines.range_m, ahead, surface, lines.beam_rad)
+    return angles_loops.line_angles(lines.range_m, ahead, surface, lines.beam_rad)

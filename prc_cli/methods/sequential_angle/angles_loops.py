@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
+from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32_2, F32_3, F64, F64_2, I32_1, I32_2, U8_2
-from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.sequential_angle.thresholds import ChordThresholds
 
 _HORIZONTAL = 2
@@ -155,7 +155,7 @@ def _first_far(
     return -1
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.angles")
 def signed_angles(
     range_m: F32_2,
     xyz_m: F32_3,
@@ -221,7 +221,7 @@ def signed_angles(
     return signed_deg, ahead
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.angles")
 def angle_differences(signed_deg: F32_2) -> F32_2:
     """Subtract from every signed angle the one before it, sD.
 
@@ -241,7 +241,7 @@ def angle_differences(signed_deg: F32_2) -> F32_2:
     return differences
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.angles")
 def line_angles(
     range_m: F32_2,
     ahead: I32_2,

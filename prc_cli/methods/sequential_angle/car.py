@@ -9,9 +9,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prc_cli import kernels
 from prc_cli.core.classes import CarTest, TriggerSide
 from prc_cli.core.types import F32, F64, I32, I64, U8, U16, Mask
+from prc_cli.methods.sequential_angle.car_loops import (
+    car_intervals,
+    cut_verticals,
+    firm_intervals,
+    stable_intervals,
+)
+from prc_cli.methods.sequential_angle.labels_loops import (
+    first_high_verticals,
+    first_triggers,
+    mark_cars,
+)
 from prc_cli.methods.sequential_angle.lines import VerticalLines
 from prc_cli.methods.sequential_angle.thresholds import (
     CarThresholds,
@@ -36,9 +46,7 @@ def high_verticals(
 
     ``surface`` (R, n) uint8; ``z_g`` (R,) float32, metres; returns (R,) float32.
     """
-    beam = kernels.first_high_verticals(
-        surface, lines.xyz_m, lines.n_beams, z_g, thresholds.height_m
-    )
+    beam = first_high_verticals(surface, lines.xyz_m, lines.n_beams, z_g, thresholds.height_m)
     distance = np.full(len(beam), np.inf, np.float32)
     rows = np.flatnonzero(beam >= 0)
     distance[rows] = lines.horizontal_m[rows, beam[rows]]
@@ -65,9 +73,7 @@ def suspicious(car_surface: U8, n_beams: I32, thresholds: SuspiciousThresholds) 
     """
     if not thresholds.enabled:
         return np.where(n_beams > 0, 0, -1).astype(np.int32)
-    return kernels.first_triggers(
-        car_surface, n_beams, increments(thresholds), thresholds.threshold
-    )
+    return first_triggers(car_surface, n_beams, increments(thresholds), thresholds.threshold)
 
 
 def increments(thresholds: SuspiciousThresholds) -> F64:
@@ -131,7 +137,7 @@ def dividers(
     differ by little more than the noise. Chords of 8, 10, 12 cm make .87, .92, .95 of walls sudden,
     and .03, .04, .11 of tyres; longer chords miss curbs.
     """
-    intervals = kernels.car_intervals(
+    intervals = car_intervals(
         car_surface,
         lines.range_m,
         lines.xyz_m,
@@ -142,7 +148,7 @@ def dividers(
         z_g,
         thresholds,
     )
-    pieces: I32 = kernels.cut_verticals(
+    pieces: I32 = cut_verticals(
         car_surface, lines.xyz_m, lines.horizontal_m, lines.n_beams, intervals, z_g, thresholds
     )
     return Intervals(intervals, pieces)
@@ -179,7 +185,7 @@ def fourier(signed_deg: F32, intervals: I32, thresholds: FourierThresholds) -> M
     >>> fourier(angles, intervals, FourierThresholds(longest=32))
     array([ True, False])
     """
-    stable: Mask = kernels.stable_intervals(signed_deg, intervals, thresholds)
+    stable: Mask = stable_intervals(signed_deg, intervals, thresholds)
     return stable
 
 
@@ -222,7 +228,7 @@ def cars(
     intervals = dividers(lines, car_surface, signed_deg, trigger, z_g, thresholds.dividers)
     stable = fourier(signed_deg, intervals.pieces, thresholds.fourier)
     if thresholds.most_foliage < 1.0 or thresholds.min_points > 1:
-        stable &= kernels.firm_intervals(
+        stable &= firm_intervals(
             surface, intervals.pieces, thresholds.most_foliage, thresholds.min_points
         )
     limit = high_verticals(lines, surface, z_g, thresholds.high_verticals)
@@ -230,9 +236,7 @@ def cars(
         thresholds.ground_layer_m if thresholds.ground_layer_m > 0 else -np.inf
     )
     accepted = intervals.pieces[stable]
-    marked: Mask = kernels.mark_cars(
-        accepted, lines.horizontal_m, lines.xyz_m, car_surface, limit, low_m
-    )
+    marked: Mask = mark_cars(accepted, lines.horizontal_m, lines.xyz_m, car_surface, limit, low_m)
     return Cars(marked, trigger, intervals, stable, limit)
 
 

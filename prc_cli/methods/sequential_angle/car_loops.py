@@ -11,6 +11,7 @@ from typing import cast
 import numpy as np
 
 from prc_cli.core.classes import Surface
+from prc_cli.core.loops import helper, loop
 from prc_cli.core.types import (
     F32,
     F32_1,
@@ -26,7 +27,6 @@ from prc_cli.core.types import (
     Mask,
     Mask_1,
 )
-from prc_cli.kernels.cache import helper, kernel
 from prc_cli.methods.sequential_angle.thresholds import DividerThresholds, FourierThresholds
 
 _CHUNK = 64
@@ -39,7 +39,7 @@ NONE = cast("int", np.int64(-1))
 """Integers that numba does not treat as literals: it would compile helpers again for a literal."""
 
 
-@kernel()
+@loop()
 def _powers(
     values: F64_1,
     first: int,
@@ -75,7 +75,7 @@ def _powers(
         )
 
 
-@kernel()
+@loop()
 def _is_stable(values: F64_1, band: float, ratio: float) -> bool:
     """Whether no frequency from ``band * N`` up exceeds ``ratio`` times the largest one.
 
@@ -112,7 +112,7 @@ def _is_stable(values: F64_1, band: float, ratio: float) -> bool:
     return True
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.car")
 def stable_intervals(signed_deg: F32_2, intervals: I32_2, thresholds: FourierThresholds) -> Mask_1:
     """Mark intervals whose signed angles have no high frequency.
 
@@ -502,7 +502,7 @@ def _with_room(intervals: I32, size: int) -> I32:
     return larger
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.car")
 def car_intervals(
     surface: U8_2,
     range_m: F32_2,
@@ -778,7 +778,7 @@ def _mark_reliefs(
         begin = last + 1
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.car")
 def cut_verticals(
     surface: U8_2,
     xyz_m: F32_3,
@@ -846,7 +846,7 @@ def cut_verticals(
     return pieces[:n_pieces].copy()
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.car")
 def firm_intervals(
     surface: U8_2,
     intervals: I32_2,

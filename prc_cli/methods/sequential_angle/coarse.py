@@ -12,9 +12,10 @@ the mean angle by 90 deg, one per direction, separate horizontal from vertical.
 
 from __future__ import annotations
 
-from prc_cli import kernels
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, U8, Mask
+from prc_cli.methods.sequential_angle import coarse_loops
+from prc_cli.methods.sequential_angle.coarse_loops import behind_walls, upright_layers
 from prc_cli.methods.sequential_angle.lines import VerticalLines
 from prc_cli.methods.sequential_angle.thresholds import (
     CoarseThresholds,
@@ -49,7 +50,7 @@ def hmm_cusum(values: F32, thresholds: MarkovThresholds) -> Mask:
     >>> int(found[0]), int(found[-1])
     (20, 49)
     """
-    marked: Mask = kernels.hmm_cusum(values, thresholds)
+    marked: Mask = coarse_loops.hmm_cusum(values, thresholds)
     return marked
 
 
@@ -116,7 +117,9 @@ def surface_image(
 
     ``signed_deg`` (R, n) float32, degrees; ``vegetation`` (R, n) bool; returns (R, n) uint8.
     """
-    return kernels.surface_image(signed_deg, vegetation, lines.range_m, lines.n_beams, thresholds)
+    return coarse_loops.surface_image(
+        signed_deg, vegetation, lines.range_m, lines.n_beams, thresholds
+    )
 
 
 def without_windows(surface: U8, lines: VerticalLines, thresholds: WindowThresholds) -> U8:
@@ -146,9 +149,7 @@ def without_windows(surface: U8, lines: VerticalLines, thresholds: WindowThresho
      array([[1, 1, 1, 1, 1, 1, 1, 1, 1, 1]], dtype=uint8)]
     """
     if thresholds.share < 1.0:
-        surface = kernels.upright_layers(surface, lines.horizontal_m, lines.n_beams, thresholds)
+        surface = upright_layers(surface, lines.horizontal_m, lines.n_beams, thresholds)
     if thresholds.wall_extent_m > 0.0:
-        surface = kernels.behind_walls(
-            surface, lines.xyz_m, lines.horizontal_m, lines.n_beams, thresholds
-        )
+        surface = behind_walls(surface, lines.xyz_m, lines.horizontal_m, lines.n_beams, thresholds)
     return surface

@@ -10,8 +10,8 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
+from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32_2, F32_3, F64, I32, I32_1, I64, U8, U8_2, U32, Mask_2
-from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.sequential_angle.thresholds import (
     MarkovThresholds,
     SurfaceThresholds,
@@ -278,7 +278,7 @@ def _next_confirmed(
     return first, last, last + 1
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.coarse")
 def hmm_cusum(values: F32_2, thresholds: MarkovThresholds) -> Mask_2:
     """Mark the samples of every row that belong to model 1.
 
@@ -387,7 +387,7 @@ def _label_run(
         labels[beam[i]] = label
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.coarse")
 def surface_image(
     signed_deg: F32_2,
     vegetation: Mask_2,
@@ -530,7 +530,7 @@ def _label_if_layered(
             labels[beam[i]] = _VERTICAL
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.coarse")
 def upright_layers(
     surface: U8_2,
     horizontal_m: F32_2,
@@ -627,7 +627,7 @@ def _find_walls(
     return n_walls
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.coarse")
 def behind_walls(
     surface: U8_2,
     xyz_m: F32_3,

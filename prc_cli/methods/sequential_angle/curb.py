@@ -21,8 +21,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prc_cli import kernels
 from prc_cli.core.types import F32, I32, U8, Mask
+from prc_cli.methods.sequential_angle import curb_loops
+from prc_cli.methods.sequential_angle.curb_loops import connect_verticals
 from prc_cli.methods.sequential_angle.lines import VerticalLines
 from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, OpenRegions
 
@@ -77,7 +78,7 @@ def possible_curbs(
 
     ``surface`` (R, n) uint8; ``ground`` (R, n) bool; ``z_g`` (R,) float32; returns (R,) int32.
     """
-    return kernels.possible_curbs(surface, lines.range_m, lines.xyz_m, ground, z_g, thresholds)
+    return curb_loops.possible_curbs(surface, lines.range_m, lines.xyz_m, ground, z_g, thresholds)
 
 
 def curbs(
@@ -95,7 +96,7 @@ def curbs(
     ``surface`` (R, n) uint8; ``signed_deg`` (R, n) float32; ``possible`` (R,) int32; returns
     ``curb`` (F, n) bool.
     """
-    curb, regions = kernels.connect_verticals(
+    curb, regions = connect_verticals(
         surface,
         lines.xyz_m,
         signed_deg,

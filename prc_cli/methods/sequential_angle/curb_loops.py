@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_1, F32_2, F32_3, I32, I32_1, U8, U8_2, Mask, Mask_2
-from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, OpenRegions
 
 NONE = 0
@@ -65,7 +65,7 @@ def _lies_over(
     return bool(np.float64(most) - np.float64(range_here) > under)
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.curb")
 def possible_curbs(
     surface: U8_2,
     range_m: F32_2,
@@ -388,7 +388,7 @@ def _carry(
     return open_regions
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.curb")
 def connect_verticals(
     surface: U8_2,
     xyz: F32_3,

@@ -45,8 +45,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli import kernels
 from prc_cli.core.types import F32, F64, I32, U8, Mask
+from prc_cli.methods.sequential_angle.ground_loops import (
+    ground_rows,
+    main_height,
+    potential_heights,
+)
 from prc_cli.methods.sequential_angle.lines import VerticalLines
 from prc_cli.methods.sequential_angle.thresholds import GroundState as GroundState
 from prc_cli.methods.sequential_angle.thresholds import GroundThresholds
@@ -64,10 +68,9 @@ def potential_ground(
 
     ``surface`` (R, n) uint8; ``phihat`` (R, n) float32; ``ahead`` (R, n) int32.
     """
-    potential: PotentialGround = kernels.potential_heights(
+    return potential_heights(
         surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, thresholds
     )
-    return potential
 
 
 def initial_ground(heights_m: F64, thresholds: GroundThresholds, n_sides: int = 1) -> GroundState:
@@ -81,7 +84,7 @@ def initial_ground(heights_m: F64, thresholds: GroundThresholds, n_sides: int = 
     """
     rows = np.flatnonzero(~np.isnan(heights_m))[: thresholds.start_heights]
     n_rows = int(rows[-1]) + 1 if len(rows) == thresholds.start_heights else len(heights_m)
-    _, z_g, bins, histogram = kernels.main_height(
+    _, z_g, bins, histogram = main_height(
         heights_m[rows], thresholds.height_bandwidth, thresholds.roof_m, thresholds.roof_share
     )
     if len(rows) < min(thresholds.least_heights, (len(heights_m) + 1) // 2):
@@ -108,7 +111,7 @@ def ground(
 
     Returns ``ground`` (R, n) bool, ``z_g`` (R,) float32.
     """
-    rows_and_state: tuple[Mask, F32, GroundState] = kernels.ground_rows(
+    return ground_rows(
         surface,
         lines.xyz_m,
         lines.horizontal_m,
@@ -119,4 +122,3 @@ def ground(
         state,
         thresholds,
     )
-    return rows_and_state

@@ -16,6 +16,7 @@ from typing import NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import (
     F32,
     F32_1,
@@ -31,7 +32,6 @@ from prc_cli.core.types import (
     U8_2,
     Mask_2,
 )
-from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.methods.sequential_angle.thresholds import (
     GroundState,
     GroundThresholds,
@@ -1016,7 +1016,7 @@ def _main_height(
     return counts[best], (place + 0.5 + shift) / PER_METRE + LOWEST_M
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.ground")
 def main_height(
     heights: F64_1,
     share: float,
@@ -1052,7 +1052,7 @@ def _new_scratch(n: int, size: int, n_modes: int) -> _Scratch:
     )
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.ground")
 def potential_heights(
     surface: U8_2,
     xyz: F32_3,
@@ -1111,7 +1111,7 @@ def _horizontal_beams(
     return n_points
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.ground")
 def ground_rows(
     surface: U8_2,
     xyz: F32_3,

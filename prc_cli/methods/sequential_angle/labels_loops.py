@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.classes import Label, Surface
+from prc_cli.core.loops import helper, loop
 from prc_cli.core.types import (
     F32,
     F32_1,
@@ -23,7 +24,6 @@ from prc_cli.core.types import (
     Mask,
     Mask_2,
 )
-from prc_cli.kernels.cache import helper, kernel
 
 _NOTHING = _MISSING = int(Surface.MISSING)
 _HORIZONTAL = int(Surface.HORIZONTAL)
@@ -35,7 +35,7 @@ _CURB = int(Label.CURB)
 _UNCLASSIFIED = int(Label.UNCLASSIFIED)
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.labels")
 def first_high_verticals(
     surface: U8_2,
     xyz_m: F32_3,
@@ -66,7 +66,7 @@ def first_high_verticals(
     return beam
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.labels")
 def first_triggers(
     surface: U8_2,
     n_beams: I32_1,
@@ -112,7 +112,7 @@ def first_triggers(
     return beam
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.labels")
 def arrange_lines(
     range_m: F32_2,
     xyz_m: F32_3,
@@ -156,7 +156,7 @@ def arrange_lines(
     return ranges, xyz, horizontal
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.labels")
 def arrange_plane(
     range_m: F32_2,
     across: F64_1,
@@ -199,7 +199,7 @@ _CURB_DEPTH_M = 0.3
 """Curb points that are farther behind the nearest one of their row belong to another curb [m]."""
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.labels")
 def mark_cars(
     intervals: I32_2,
     horizontal_m: F32_2,
@@ -268,7 +268,7 @@ def _foot(
     return end, foot
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.labels")
 def combine_classes(
     surface: U8_2,
     ground: Mask_2,
@@ -329,7 +329,7 @@ def combine_classes(
     return labels
 
 
-@kernel()
+@loop("prc_cli.reference.sequential_angle.labels")
 def mark_beyond(range_m: F32_2, labels: U8_2) -> tuple[U8_2, int]:
     """Make returns unclassified that are beyond the scanner's reach, so missing to the method.
 

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli import kernels
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, F64, I32
+from prc_cli.methods.sequential_angle.labels_loops import arrange_lines, arrange_plane
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,11 +100,9 @@ def vertical_lines(
     if xyz_m is None:
         across = np.sin(beam_rad)
         up = -np.cos(beam_rad)
-        ranges, xyz, horizontal = kernels.arrange_plane(
-            range_m, across, up, sides.columns, max_range_m
-        )
+        ranges, xyz, horizontal = arrange_plane(range_m, across, up, sides.columns, max_range_m)
     else:
-        ranges, xyz, horizontal = kernels.arrange_lines(range_m, xyz_m, sides.columns, max_range_m)
+        ranges, xyz, horizontal = arrange_lines(range_m, xyz_m, sides.columns, max_range_m)
     return VerticalLines(
         ranges, xyz, horizontal, np.tile(sides.n_beams, len(range_m)), sides.beam_rad
     )

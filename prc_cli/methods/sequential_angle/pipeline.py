@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli import kernels
 from prc_cli.core.blocks import LineBuffer
 from prc_cli.core.classes import LABEL_OF_SURFACE, CarTest, Label, Reason, Surface
 from prc_cli.core.errors import InputError
+from prc_cli.core.loops import loops_of
 from prc_cli.core.profile import stage
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, StageLabels
 from prc_cli.core.types import F32, F64, I32, I64, U8, U16, Mask
@@ -42,6 +42,14 @@ from prc_cli.methods.base import (
 from prc_cli.methods.keys import table_of, thresholds_of
 from prc_cli.methods.reasons import LABEL_REASONS, reasons_of
 from prc_cli.methods.returns import label_extra_returns
+from prc_cli.methods.sequential_angle import (
+    angles_loops,
+    car_loops,
+    coarse_loops,
+    curb_loops,
+    ground_loops,
+    labels_loops,
+)
 from prc_cli.methods.sequential_angle.angles import angle_differences, line_angles, signed_angles
 from prc_cli.methods.sequential_angle.car import CarSearch, car_search, cars
 from prc_cli.methods.sequential_angle.coarse import (
@@ -52,6 +60,7 @@ from prc_cli.methods.sequential_angle.coarse import (
 )
 from prc_cli.methods.sequential_angle.curb import CurbState, curbs, possible_curbs
 from prc_cli.methods.sequential_angle.ground import ground, initial_ground, potential_ground
+from prc_cli.methods.sequential_angle.labels_loops import combine_classes, mark_beyond
 from prc_cli.methods.sequential_angle.lines import (
     Sides,
     VerticalLines,
@@ -67,7 +76,7 @@ from prc_cli.methods.sequential_angle.thresholds import (
     SequentialAngleThresholds,
 )
 
-KERNELS = frozenset({"sequential_angle"})
+LOOPS = loops_of(angles_loops, car_loops, coarse_loops, curb_loops, ground_loops, labels_loops)
 
 
 class _SequentialAngleTable(MethodParams):
@@ -228,7 +237,7 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
     @property
     def needs(self) -> Needs:
         """Blocks of any number of lines, with beam angles."""
-        return Needs(KERNELS)
+        return Needs(LOOPS)
 
     @property
     def usual(self) -> UsualLabels:
@@ -393,7 +402,7 @@ def _labelled(
 ) -> LabelledBlock:
     """Combine final lines with their labels, and label their further returns."""
     # ranges beyond the scanner's reach are missing to the method, but they are returns
-    labels, n_beyond = kernels.mark_beyond(block.range_m, labels)
+    labels, n_beyond = mark_beyond(block.range_m, labels)
     block = replace(block, next_m=None, tally=block.tally + ReadTally(n_beyond=n_beyond))
     further = block.extra
     extra_labels = label_extra_returns(
@@ -549,7 +558,7 @@ def combine(rows: RowsBeforeCurbs, curb: Mask, thresholds: CurbThresholds) -> U8
 
     ``curb`` (R, n) bool; returns (R, n) uint8.
     """
-    labels: U8 = kernels.combine_classes(
+    labels: U8 = combine_classes(
         rows.surface,
         rows.ground,
         rows.car,

@@ -57,7 +57,7 @@ class Evidence:
     """The stream before it is watched."""
     accepted: tuple[str, ...] = ()
     """Checks whose findings the user accepts."""
-    needs: Needs = field(default_factory=lambda: Needs(frozenset()))
+    needs: Needs = field(default_factory=lambda: Needs(()))
     """Limits of the method."""
     dropped: str = ""
     """The note of a run record on shots that were left out."""
@@ -187,7 +187,7 @@ def evidence_of(
         Evidence,
         stream,
         accepted=accepted_by(config),
-        needs=needs or Needs(frozenset()),
+        needs=needs or Needs(()),
         dropped=stream.info.facts.dropped or dropped_beside(Path(stream.info.path)),
         others=others,
         is_part=config.window is not None,

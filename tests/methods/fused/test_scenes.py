@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prc_cli import kernels
 from prc_cli.core.classes import Label, Reason
 from prc_cli.core.types import U8
-from prc_cli.methods.fused.classes_loops import MARGIN
+from prc_cli.methods.fused.classes_loops import MARGIN, fused_labels
 from prc_cli.methods.fused.records import (
     FENCE,
     FEW_SHOTS,
@@ -30,7 +29,9 @@ from prc_cli.methods.fused.records import (
     Neighbours,
     Walls,
 )
+from prc_cli.methods.fused.stems_loops import forest_labels
 from prc_cli.methods.fused.thresholds import FOREST, DecisionThresholds
+from prc_cli.methods.fused.votes_loops import vote_labels
 
 M = 9
 STEP_RAD = np.float32(0.004)
@@ -86,7 +87,7 @@ def reasons(
     first = STRIPS + int(2 * SIDE_M / STRIP_M) - level_bins
     is_level[:, first : first + 2 * level_bins] = 17 if is_high else 1
     return np.asarray(
-        kernels.fused_labels(
+        fused_labels(
             window,
             np.full((5, M), above_m, np.float32),
             Neighbours(*counts),
@@ -188,10 +189,10 @@ def test_most_shots_around_decide() -> None:
     beams = Beams(np.sin(angle), np.cos(angle))
     near_m, half_m = np.float32(1.0), np.float32(0.1)
     ranges = np.full(labels.shape, SIDE_M, np.float32)
-    voted = kernels.vote_labels(labels, ranges, beams, STEP_RAD, half_m, near_m)
+    voted = vote_labels(labels, ranges, beams, STEP_RAD, half_m, near_m)
     assert voted.tolist() == [[_LABELS[name] for name in after]]
     ranges[1, 2] = SIDE_M - 2  # a leaf far before the wall
-    voted = kernels.vote_labels(labels, ranges, beams, STEP_RAD, half_m, near_m)
+    voted = vote_labels(labels, ranges, beams, STEP_RAD, half_m, near_m)
     assert voted[0, 2] == Label.VEGETATION
 
 
@@ -229,13 +230,13 @@ def test_the_right_rule_decides_in_a_forest(
     stems = np.array([[True, True, False, True, True]])
     ranges[0, 2], heights[0, 2], stems[0, 2] = range_m, height_m, is_stem
     limits = FOREST.classes._replace(top_m=20.0)
-    rules = kernels.forest_labels(ranges, heights, stems, 2, limits)
+    rules = forest_labels(ranges, heights, stems, 2, limits)
     assert Reason(rules[0, 2]).name == right.name
 
 
 def test_low_and_flat_is_ground_in_a_forest() -> None:
     heights = np.array([[0.12, 0.13, 0.14, 0.15, 0.30]], np.float32)
     ranges = np.array([[5.0, 5.1, 5.2, 5.3, 5.4]], np.float32)
-    rules = kernels.forest_labels(ranges, heights, np.zeros((1, 5), np.bool_), 2, FOREST.classes)
+    rules = forest_labels(ranges, heights, np.zeros((1, 5), np.bool_), 2, FOREST.classes)
     names = [Reason(rule).name for rule in rules[0]]
     assert names == ["PLANT", "FLAT", "FLAT", "PLANT", "PLANT"]

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from prc_cli import kernels
 from prc_cli.core.classes import Label
 from prc_cli.core.config import build
 from prc_cli.core.errors import ConfigError
@@ -24,6 +23,7 @@ from prc_cli.methods.prc.support import (
     support,
     window_reach,
 )
+from prc_cli.methods.prc.support_loops import support_mask
 from tests.methods.prc import paper
 from tests.methods.prc.streams import random_params, random_stream, run_stream, to_settings
 
@@ -202,9 +202,7 @@ def test_random_ranges_support_each_other_as_seldom_as_printed() -> None:
     window = uniform_window(2000, 2000)
 
     def share(min_in_slice: int, min_adjacent: int) -> float:
-        return float(
-            kernels.support_mask(window, 2000, 2000, 1.0, 1.0, min_in_slice, min_adjacent).mean()
-        )
+        return float(support_mask(window, 2000, 2000, 1.0, 1.0, min_in_slice, min_adjacent).mean())
 
     assert share(0, 2) == pytest.approx(0.0040, abs=2e-4)
     assert share(2, 0) == pytest.approx(0.0072, abs=2e-4)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prc_cli import kernels
 from prc_cli.core.classes import Label
 from prc_cli.core.config import build
 from prc_cli.core.types import F32, I64, U8, Mask
 from prc_cli.methods.prc.components import Components, ComponentsParams, identify, join
+from prc_cli.methods.prc.components_loops import carry_labels
 from prc_cli.methods.prc.pipeline import PrcParams, PrcState, initial_state
 from prc_cli.methods.prc.support import (
     BackgroundParams,
@@ -19,6 +19,7 @@ from prc_cli.methods.prc.support import (
     support,
     window_reach,
 )
+from prc_cli.methods.prc.support_loops import support_mask
 from prc_cli.methods.prc.surfaces import (
     Surfaces,
     SurfacesParams,
@@ -181,7 +182,7 @@ def test_reading_3_neighbours_go_by_flat_index() -> None:
 def test_a_shot_does_not_support_itself() -> None:
     """With one shot a line the flat index i + M - 1 is i itself."""
     alone = window_of([[5.0], [50.0], [90.0], [20.0], [70.0]])
-    assert not kernels.support_mask(alone, 5, 1, 1.0, 1.0, 0, 1).any()
+    assert not support_mask(alone, 5, 1, 1.0, 1.0, 0, 1).any()
 
 
 class TestReading4BlockEdges:
@@ -344,9 +345,7 @@ class TestReading10Votes:
     @staticmethod
     def carry(first: list[int], last: list[int], min_votes: int = 3) -> list[int]:
         n = max(first)
-        taken = kernels.carry_labels(
-            np.array(first, np.int32), np.array(last, np.int64), n, min_votes
-        )
+        taken = carry_labels(np.array(first, np.int32), np.array(last, np.int64), n, min_votes)
         return taken[1:].tolist()  # type: ignore[no-any-return]
 
     def test_three_votes_are_enough_and_two_are_not(self) -> None:

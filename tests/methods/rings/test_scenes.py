@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prc_cli import kernels
+from prc_cli.methods.rings.cells_loops import lonely_shots
+from prc_cli.methods.rings.ground_loops import lowest_heights, walk_outwards
 from prc_cli.methods.rings.thresholds import GroundThresholds, LonelyThresholds
 
 
@@ -28,7 +29,7 @@ def test_two_shots_confirm_the_lowest_height(
     xyz = np.zeros((1, len(heights_m), 3), np.float32)
     xyz[0, :, 2] = up * np.array(heights_m)
     place = np.where(np.isnan(xyz[..., 2]), np.nan, 0.5).astype(np.float32)
-    lowest = kernels.lowest_heights(xyz, place, up, 1, 2, 0.15)
+    lowest = lowest_heights(xyz, place, up, 1, 2, 0.15)
     np.testing.assert_allclose(lowest, [[lowest_m, np.nan]])
 
 
@@ -49,7 +50,7 @@ def test_the_walk_takes_what_is_near_to_what_it_expects(
     """Three sectors of cells at 1, 3, 5 and 7 m that see the same."""
     off_m = np.tile(np.array(heights_m, np.float32), (3, 1))
     middle_m = np.array([1.0, 3.0, 5.0, 7.0])
-    height, seen = kernels.walk_outwards(off_m, middle_m, GroundThresholds())
+    height, seen = walk_outwards(off_m, middle_m, GroundThresholds())
     assert seen.tolist() == [is_ground] * 3
     np.testing.assert_array_equal(height[seen], off_m[seen])
 
@@ -73,4 +74,4 @@ def test_a_flake_has_hardly_a_shot_beside_it(
     bright[3, 2] = light
     for place, near_m in around.items():
         ranges[place] = near_m
-    assert kernels.lonely_shots(ranges, bright, True, LonelyThresholds())[3, 2] == is_lonely
+    assert lonely_shots(ranges, bright, True, LonelyThresholds())[3, 2] == is_lonely

@@ -8,14 +8,13 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from prc_cli import kernels
 from prc_cli.config import RunConfig, load_config
 from prc_cli.core.blocks import cut
 from prc_cli.core.classes import Label
+from prc_cli.core.loops import use_engine
 from prc_cli.core.stream import ExtraReturns, LabelledBlock, ScanBlock
 from prc_cli.core.types import U8
 from prc_cli.jobs.classify import label_blocks
-from prc_cli.kernels import KERNELS
 from prc_cli.methods.base import OneByOne, Wanted
 from prc_cli.methods.run import run_blocks
 from prc_cli.methods.sequential_angle.pipeline import (
@@ -29,7 +28,6 @@ from prc_cli.methods.sequential_angle.pipeline import (
     within_lines,
 )
 from prc_cli.methods.sequential_angle.thresholds import SequentialAngleThresholds
-from tests.kernels.twins import twin
 from tests.simulated import static_arrays
 
 PARAMS = SequentialAngleThresholds().at_noise()
@@ -127,13 +125,11 @@ def test_two_sides_are_classified_like_the_lines_that_they_are() -> None:
 
 
 @pytest.mark.slow
-def test_every_kernel_may_be_replaced_by_its_twin(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_loop_may_be_replaced_by_its_plain_form() -> None:
     block, _ = scan(elevation_step=0.8, azimuth_step=3.0)
     expected, _ = run(cuts(block, lines=40), PARAMS, block.n_lines)
-    for name, module in KERNELS.items():
-        if module.startswith("prc_cli.methods.sequential_angle."):
-            monkeypatch.setattr(kernels, name, twin(name))
-    results, _ = run(cuts(block, lines=40), PARAMS, block.n_lines)
+    with use_engine("reference"):
+        results, _ = run(cuts(block, lines=40), PARAMS, block.n_lines)
     for result, expected_result in zip(results, expected, strict=True):
         np.testing.assert_array_equal(result, expected_result)
 

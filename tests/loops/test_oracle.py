@@ -1,6 +1,6 @@
 """The loops of both papers against their slow twins, bit for bit, on data with many ties.
 
-Twins share no code with kernels. Loops of our own methods have none: see ``test_digests``.
+Twins share no code with loops. Loops of our own methods have none: see ``test_digests``.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import inspect
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +19,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.random import Generator
 
-from prc_cli import kernels
+from prc_cli.core.loops import use_engine
 from prc_cli.core.threads import read_ahead
 from prc_cli.core.types import F32, I32, Mask
-from prc_cli.kernels import KERNELS, load_kernels
+from prc_cli.methods.prc.components_loops import label_components
+from prc_cli.methods.prc.support_loops import support_mask
+from prc_cli.methods.prc.surfaces_loops import dilate
 from prc_cli.reference.prc import stages as oracle
 from tests import patience
-from tests.kernels import cases_angles, cases_car, cases_ground, digests
-from tests.kernels.twins import assert_equal_bits, twin, twin_module
+from tests.loops import cases_angles, cases_car, cases_ground, digests
+from tests.loops.twins import LOOPS, assert_equal_bits, twin, twin_module
 
 SHAPES = [(1, 1), (1, 2), (2, 1), (7, 1), (1, 9), (3, 2), (4, 3), (5, 5), (2, 17), (9, 40)]
 
@@ -128,21 +129,6 @@ def draw_case(rng: Generator) -> tuple[Any, ...]:
     return ranges, supported, covered, components, label_of, np.array([0, 251, 250], np.uint8)
 
 
-def clean_case(rng: Generator) -> tuple[Any, ...]:
-    """Ranges on and beside the bounds."""
-    low = np.float32(rng.choice([0.0, 0.5, 1e-45]))
-    high = np.float32(rng.choice([3.4028235e38, 80.0, 0.5]))
-    values = np.array(
-        [0.0, -0.0, -1.0, np.inf, -np.inf, np.nan, 1e-45, 5.0, low, high, 3.4028235e38], np.float32
-    )
-    beside = np.concatenate([np.nextafter(values[6:10], np.float32(to)) for to in (0, 1000)])
-    return (
-        rng.choice(np.concatenate([values, beside]), rng.integers(0, 40)).astype(np.float32),
-        low,
-        high,
-    )
-
-
 def columns_case(rng: Generator) -> tuple[Any, ...]:
     supported, covered, _, _ = image_case(rng)
     columns = rng.random(supported.shape[1]) < 0.5
@@ -165,7 +151,6 @@ CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     "background_mask": background_case,
     "dilate": dilate_case,
     "carry_labels": carry_case,
-    "clean_ranges": clean_case,
     "count_covered": image_case,
     "draw_columns": columns_case,
     "draw_components": draw_case,
@@ -183,19 +168,19 @@ LEAST = 60
 MOST = {"hmm_cusum": 100, "main_height": 200}
 """Cases where they are not 400.
 
-Of twins that take as long as those of all other kernels together.
+Of twins that take as long as those of all other loops together.
 """
 TOLERANCES = {**cases_angles.TOLERANCES, **cases_ground.TOLERANCES, **cases_car.TOLERANCES}
 
 
 @pytest.mark.parametrize("name", sorted(CASES))
-def test_kernel_equals_its_twin(name: str) -> None:
+def test_loop_equals_its_twin(name: str) -> None:
     compare(name, 20190, LEAST)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", sorted(CASES))
-def test_kernel_equals_its_twin_in_many_cases(name: str) -> None:
+def test_loop_equals_its_twin_in_many_cases(name: str) -> None:
     compare(name, 9, MOST.get(name, 400))
 
 
@@ -206,7 +191,7 @@ def compare(name: str, seed: int, n_cases: int) -> None:
         if number >= n_cases and len(results) == 2:
             break
         case = CASES[name](rng)
-        output = getattr(kernels, name)(*case)
+        output = LOOPS[name](*case)
         assert_equal_bits(output, twin(name)(*case), TOLERANCES.get(name, 0.0))
         values = np.nan_to_num(output[0] if isinstance(output, tuple) else output)
         results.add(bool(((values != 0) & (values != -1)).any()))  # -1 = none
@@ -222,32 +207,17 @@ def test_support_limit_is_exact_at_the_float32_beside_zeta(zeta: float, steps: i
     # zero on both sides: the difference to it is exact
     case = np.zeros(9 + 2 * 10, dtype=np.float32)
     case[10 + 4] = difference
-    supported = kernels.support_mask(case, 1, 9, zeta, 0.0, 8, 0)
+    supported = support_mask(case, 1, 9, zeta, 0.0, 8, 0)
     assert bool(supported[0, 4]) == (float(difference) < zeta)
 
 
-def test_every_kernel_of_a_paper_has_a_twin_of_the_same_arguments() -> None:
-    load_kernels()
-    assert {*CASES, *digests.CASES} == set(KERNELS), "every kernel needs test data"
+def test_every_loop_of_a_paper_has_a_twin_of_the_same_arguments() -> None:
+    assert {*CASES, *digests.CASES} == set(LOOPS), "every loop needs cases"
     assert not set(CASES) & set(digests.CASES)
     for name in CASES:
-        function = getattr(import_module(KERNELS[name]), name)
-        plain = getattr(function, "py_func", function)
-        assert [*inspect.signature(plain).parameters] == [
+        assert [*inspect.signature(LOOPS[name].py_func).parameters] == [
             *inspect.signature(twin(name)).parameters
         ], name
-
-
-def test_every_compiled_function_is_in_the_table() -> None:
-    for module in set(KERNELS.values()):
-        public = {
-            name
-            for name, value in vars(import_module(module)).items()
-            if callable(value)
-            and getattr(value, "__module__", "") == module
-            and not name.startswith("_")
-        }
-        assert public == {name for name, where in KERNELS.items() if where == module}
 
 
 @pytest.mark.parametrize("shape", [(40, 41), (41, 40)])
@@ -262,7 +232,7 @@ def test_components_of_a_comb_a_spiral_and_a_chessboard(shape: tuple[int, int]) 
         spiral[ring:-ring, ring] = spiral[ring:-ring, -1 - ring] = False
         spiral[ring if ring % 4 == 1 else -1 - ring, 20] = True
     for image, n_expected in ((comb, 1), (chessboard, chessboard.sum()), (spiral, 1)):
-        labels, n_components = kernels.label_components(image)
+        labels, n_components = label_components(image)
         assert n_components == n_expected
         assert_equal_bits((labels, n_components), oracle.label_components(image))
 
@@ -296,20 +266,22 @@ def test_the_reference_runs_through_the_same_composition_without_the_compiler() 
     assert (reference.stderr.strip(), compiled.stderr.strip()) == ("False", "True")
 
 
-def test_an_engine_holds_in_its_context_and_in_its_thread() -> None:
-    compiled = kernels.dilate
-    with kernels.use_engine("reference"):
-        plain = kernels.dilate
-        kernels_beside: list[object] = []
-        beside = threading.Thread(target=lambda: kernels_beside.append(kernels.dilate))
-        beside.start()
-        beside.join()
-        with kernels.use_engine("compiled"):
-            assert kernels.dilate is compiled
-        assert list(read_ahead(kernels.dilate for _ in range(1))) == [plain]
-    assert plain.__module__ == "prc_cli.reference.prc.stages"
-    assert kernels_beside == [compiled]
-    assert kernels.dilate is compiled is not plain
+def test_an_engine_holds_in_its_context_and_in_its_thread(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    image = np.zeros((2, 2), np.bool_)
+    monkeypatch.setattr(dilate, "reference", lambda: lambda image, gamma: "plain")
+    with use_engine("reference"):
+        beside: list[object] = []
+        thread = threading.Thread(target=lambda: beside.append(dilate(image, 1)))
+        thread.start()
+        thread.join()
+        assert dilate(image, 1) == "plain"
+        with use_engine("compiled"):
+            assert not dilate(image, 1).any()
+        assert list(read_ahead(dilate(image, 1) for _ in range(1))) == ["plain"]
+    assert isinstance(beside[0], np.ndarray)
+    assert not dilate(image, 1).any()
 
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -321,7 +293,7 @@ ALLOWED = (
     "scipy",
     "skimage",
 )
-"""Beside the standard library and thresholds. ``prc_cli.core`` imports no kernel either.
+"""Beside the standard library and thresholds. ``prc_cli.core`` imports no loop either.
 
 Import-linter sees to it.
 """
@@ -344,6 +316,8 @@ def imported(path: Path) -> Iterator[str]:
 
 
 def is_allowed(name: str) -> bool:
+    if name.startswith("prc_cli.core.loops"):
+        return False
     within = name.startswith(THRESHOLDS) or any(
         name == package or name.startswith(package + ".") for package in ALLOWED
     )
@@ -356,34 +330,22 @@ def is_allowed(name: str) -> bool:
 
 
 @pytest.mark.parametrize("path", TWINS, ids=lambda path: str(path.relative_to(ROOT)))
-def test_a_twin_imports_neither_kernel_nor_stage(path: Path) -> None:
+def test_a_twin_imports_neither_loop_nor_stage(path: Path) -> None:
     assert not [name for name in imported(path) if not is_allowed(name)]
     assert "__import__" not in path.read_text(encoding="utf-8")
 
 
-def test_the_twin_of_every_kernel_is_looked_at() -> None:
+def test_the_twin_of_every_loop_is_looked_at() -> None:
     assert {Path(str(twin_module(name).__file__)) for name in CASES} <= set(TWINS)
-
-
-@pytest.mark.parametrize("module", sorted(set(KERNELS.values())))
-def test_a_module_of_kernels_imports_no_other(module: str) -> None:
-    """Two processes would compile the other at the same time, and its constants would go stale in
-    the cache."""
-    path = ROOT / f"{module.replace('.', '/')}.py"
-    assert not [
-        name
-        for name in imported(path)
-        if name.startswith(tuple(f"{kernel_module}." for kernel_module in KERNELS.values()))
-    ]
 
 
 @pytest.mark.parametrize(
     ("line", "name"),
     [
-        ("from prc_cli import kernels", "prc_cli.kernels"),
+        ("from prc_cli.core import loops", "prc_cli.core.loops"),
         ("from ...methods.prc import support_loops", "prc_cli.methods.prc.support_loops"),
         ("def f():\n    import prc_cli.methods.prc.support", "prc_cli.methods.prc.support"),
-        ("from prc_cli.core_of_kernels import one", "prc_cli.core_of_kernels.one"),
+        ("from prc_cli.core_of_loops import one", "prc_cli.core_of_loops.one"),
         ("import importlib", "importlib"),
         ("import numba", "numba"),
     ],

@@ -15,15 +15,14 @@ import numba
 import numpy as np
 import pytest
 
-import prc_cli.core
+from prc_cli.core import loop_cache as cache
 from prc_cli.core.errors import PrcError
-from prc_cli.kernels import cache
 from tests import patience
 
 MODULE = """
-from prc_cli.kernels.cache import kernel
+from prc_cli.core.loops import loop
 
-@kernel()
+@loop()
 def twice(number: int) -> int:
     return 2 * number
 """
@@ -39,9 +38,14 @@ def _forget_the_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Itera
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setattr(cache, "cache_folder", lambda: tmp_path / "user")
     monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
-    cache.writable_cache.cache_clear()
+    forget()
     yield
+    forget()
+
+
+def forget() -> None:
     cache.writable_cache.cache_clear()
+    cache.loops_folder.cache_clear()
 
 
 def blocked(tmp_path: Path) -> Path:
@@ -51,17 +55,17 @@ def blocked(tmp_path: Path) -> Path:
 
 
 def compile_module(tmp_path: Path) -> ModuleType:
-    path = tmp_path / "some_kernels.py"
+    path = tmp_path / "some_loops.py"
     path.write_text(MODULE)
-    specification = importlib.util.spec_from_file_location("some_kernels", path)
+    specification = importlib.util.spec_from_file_location("some_loops", path)
     assert specification is not None
     assert specification.loader is not None
     module = importlib.util.module_from_spec(specification)
-    sys.modules["some_kernels"] = module
+    sys.modules["some_loops"] = module
     try:
         specification.loader.exec_module(module)
     finally:
-        del sys.modules["some_kernels"]
+        del sys.modules["some_loops"]
     return module
 
 
@@ -81,8 +85,8 @@ def test_compiled_code_goes_to_the_users_cache_folder(tmp_path: Path) -> None:
 @pytest.mark.slow
 @needs_compiler
 def test_a_second_process_takes_the_compiled_code(tmp_path: Path) -> None:
-    (tmp_path / "some_kernels.py").write_text(MODULE)
-    code = "import some_kernels; print(sum(some_kernels.twice.stats.cache_hits.values()))"
+    (tmp_path / "some_loops.py").write_text(MODULE)
+    code = "import some_loops; print(sum(some_loops.twice.load().stats.cache_hits.values()))"
     environment = {
         **os.environ,
         "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
@@ -106,45 +110,40 @@ def test_what_loops_are_made_of_names_their_folder(
 ) -> None:
     """Numba looks at the size and time of the module's own file alone, and an upgrade may keep
     both."""
-    source = tmp_path / "ground.py"
+    source = tmp_path / "ground_loops.py"
     constants = tmp_path / "core" / "classes.py"
     constants.parent.mkdir()
     for path in (source, constants):
         path.write_text("NEAR_M = 1")
         os.utime(path, (0, 0))
-    monkeypatch.setattr(prc_cli.core, "__path__", [str(constants.parent)])
-    monkeypatch.setattr(cache, "SOURCES", ("classes.py",))
+    monkeypatch.setattr(cache, "_PACKAGE", tmp_path)
 
-    def folder() -> Path:
-        cache._surroundings.cache_clear()
-        return cache.loops_folder(tmp_path, source)
+    def folder() -> Path | None:
+        cache.loops_folder.cache_clear()
+        return cache.loops_folder()
 
-    try:
-        folders = [folder(), folder()]
-        for path in (source, constants):
-            path.write_text("NEAR_M = 2")
-            os.utime(path, (0, 0))
-            folders.append(folder())
+    folders = [folder(), folder()]
+    for path in (source, constants):
+        path.write_text("NEAR_M = 2")
+        os.utime(path, (0, 0))
+        folders.append(folder())
+    for versions in (np, numba):
         with monkeypatch.context() as patch:
-            patch.setattr(np, "__version__", "another")
+            patch.setattr(versions, "__version__", "another")
             folders.append(folder())
-    finally:
-        cache._surroundings.cache_clear()
     assert folders[0] == folders[1]
-    assert len(set(folders)) == 4
+    assert len(set(folders)) == 5
+    assert None not in folders
 
 
 def test_loops_use_nothing_that_their_folder_is_not_named_by() -> None:
-    known = {
-        "prc_cli.kernels.cache",
-        *(f"prc_cli.core.{name.removesuffix('.py')}" for name in cache.SOURCES),
-    }
-    for file in Path(cache.__file__).parents[1].rglob("*_loops.py"):
+    package = Path(cache.__file__).parents[1]
+    named = {path for pattern in cache.SOURCES for path in package.glob(pattern)}
+    for file in package.rglob("*_loops.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and str(node.module).startswith("prc_cli"):
-                package = ".".join(file.relative_to(Path(cache.__file__).parents[2]).parts[:-1])
-                beside = {f"{package}.{name.removesuffix('.py')}" for name in cache.BESIDE}
-                assert node.module in known | beside, f"{file}: {node.module}"
+                module = package.parent / f"{str(node.module).replace('.', '/')}.py"
+                assert module in named, f"{file}: {node.module}"
 
 
 @posix_only
@@ -152,7 +151,7 @@ def test_temporary_folder_that_others_can_write_is_not_trusted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cache, "cache_folder", lambda: blocked(tmp_path))
-    folder = cache._temporary_cache()
+    folder = cache.temporary_cache()
     folder.mkdir(parents=True)
     folder.chmod(0o777)
     assert cache.writable_cache() is None
@@ -171,9 +170,9 @@ def test_temporary_folder_of_somebody_else_is_not_trusted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cache, "cache_folder", lambda: blocked(tmp_path))
-    folder = cache._temporary_cache()
+    folder = cache.temporary_cache()
     folder.mkdir(parents=True)
-    monkeypatch.setattr(cache, "_temporary_cache", lambda: folder)
+    monkeypatch.setattr(cache, "temporary_cache", lambda: folder)
     if os.getuid() == 0:
         os.chown(folder, 65534, 65534)
     else:
@@ -230,7 +229,7 @@ def test_what_somebody_else_left_in_it_is_not_run(
     monkeypatch.setattr(cache, "cache_folder", lambda: folder.parent)
     (folder.parent / "numba").mkdir()
     (folder.parent / "numba").chmod(0o777)
-    assert cache.writable_cache() == cache._temporary_cache()
+    assert cache.writable_cache() == cache.temporary_cache()
 
 
 @posix_only
@@ -264,7 +263,7 @@ def test_the_folder_is_used_by_the_name_that_was_checked(
 @needs_compiler
 @pytest.mark.parametrize("damage", [b"", b"\x80", b"not a pickle at all"])
 def test_damaged_cache_is_done_without(tmp_path: Path, damage: bytes) -> None:
-    compile_module(tmp_path)
+    compile_module(tmp_path).twice.load()
     files = compiled_files(tmp_path / "user")
     assert files
     for path in files:

@@ -1,4 +1,4 @@
-"""Random arguments for the car kernels, with many ties and edge cases."""
+"""Random arguments for the car loops, with many ties and edge cases."""
 
 from __future__ import annotations
 

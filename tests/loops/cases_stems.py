@@ -1,4 +1,4 @@
-"""Random arguments for the kernels of the forest.
+"""Random arguments for the loops of the forest.
 
 Small forests of stems, ground and leaves, missing shots and ties.
 """
@@ -19,7 +19,7 @@ from prc_cli.methods.fused.thresholds import (
     StemThresholds,
     TerrainThresholds,
 )
-from tests.kernels.twins import typed
+from tests.loops.twins import typed
 
 RUNS = typed(
     RunThresholds,

@@ -8,18 +8,18 @@ import sys
 import pytest
 
 from tests import patience
-from tests.kernels import digests
+from tests.loops import digests
 
 
 @pytest.mark.parametrize("name", sorted(digests.CASES))
 def test_no_output_changed(name: str) -> None:
-    assert digests.changes([name]) == [], "if so wanted: python -m tests.kernels.digests make"
+    assert digests.changes([name]) == [], "if so wanted: python -m tests.loops.digests make"
 
 
 @pytest.mark.slow
 def test_loops_give_the_same_as_python() -> None:
     """Nothing rests on what the compiler makes of types, overflow or the order of sums."""
-    command = [sys.executable, "-W", "ignore", "-m", "tests.kernels.digests", "check"]
+    command = [sys.executable, "-W", "ignore", "-m", "tests.loops.digests", "check"]
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
     ended = patience.run(command, env=environment, capture_output=True, text=True)
     assert ended.stdout == "no loop changed\n", ended.stdout + ended.stderr

@@ -1,4 +1,4 @@
-"""What loops of our own methods give in random cases: ``python -m tests.kernels.digests check``.
+"""What loops of our own methods give in random cases: ``python -m tests.loops.digests check``.
 
 No paper describes these loops, so nothing independent says what is right: scenes by hand do
 (``tests/methods``, ``tests/simulation``). Digests say that nothing changed, on the edges and ties
@@ -22,8 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli import kernels
-from tests.kernels import (
+from tests.loops import (
     cases_angles,
     cases_casting,
     cases_fused,
@@ -31,6 +30,7 @@ from tests.kernels import (
     cases_simulation,
     cases_stems,
 )
+from tests.loops.twins import LOOPS
 
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     **cases_angles.CASES_OF_CALIBRATION,
@@ -122,7 +122,7 @@ def digests(name: str, n_cases: int) -> Digests:
     cases = [rounded(CASES[name](rng)) for _ in range(n_cases)]
     arguments = [whole_digits(case, with_floats=True) for case in cases]
     with np.errstate(all="ignore"):  # which loops that run as Python warn of
-        outputs = [getattr(kernels, name)(*case) for case in cases]
+        outputs = [LOOPS[name](*case) for case in cases]
     sums = [float_sum(output) for output in outputs]
     return Digests(
         "".join(arguments),

@@ -1,4 +1,4 @@
-"""Finds the slow twin of a kernel, and compares the two."""
+"""Finds the slow twin of a loop, and compares the two."""
 
 from __future__ import annotations
 
@@ -9,16 +9,18 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
-from prc_cli.kernels.loading import reference_home
+from prc_cli.jobs.doctor import every_loop
+
+LOOPS = {loop.name: loop for loop in every_loop()}
 
 
 def twin_module(name: str) -> ModuleType:
-    """Return the module of a kernel's twin, where a paper describes it."""
-    return import_module(reference_home(name))
+    """Return the module of a loop's twin, where a paper describes it."""
+    return import_module(LOOPS[name].reference().__module__)
 
 
 def twin(name: str) -> Any:
-    """Return the slow twin of a kernel."""
+    """Return the slow twin of a loop."""
     return getattr(twin_module(name), name)
 
 

@@ -1,4 +1,4 @@
-"""Random arguments for the ground and curb kernels, with many ties and edge cases."""
+"""Random arguments for the ground and curb loops, with many ties and edge cases."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random arguments for the kernels of the method for rings.
+"""Random arguments for the loops of the method for rings.
 
 a few lines over ground with walls, strays and gaps.
 """

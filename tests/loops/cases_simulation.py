@@ -1,4 +1,4 @@
-"""Random arguments for the kernels of rays and of the sensor, with edge cases, glass, leaves and
+"""Random arguments for the loops of rays and of the sensor, with edge cases, glass, leaves and
 limits."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Random arguments for the kernels of the fused classifier.
+"""Random arguments for the loops of the fused classifier.
 
 Small streets of ground, walls, leaves and stray points.
 """
@@ -42,7 +42,7 @@ from prc_cli.methods.fused.thresholds import (
     WalkThresholds,
     WallThresholds,
 )
-from tests.kernels.twins import typed
+from tests.loops.twins import typed
 
 AROUND = 4
 INNER = 2
