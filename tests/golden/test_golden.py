@@ -1,4 +1,4 @@
-"""All golden cases, in two halves so that two workers share them."""
+"""All golden cases, in two halves so that two workers share them; three long ones apart."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ from tests.golden.run import GOLDEN, differences, run
 SHARED = ("made", "sim-street", "sim-sick", "sim-forest", "sim-scan", "sim-street-laz")
 """Inputs that both halves make; cases that read another one's files run beside it."""
 
+LONG = ("demo", "info-points", "batch-formats")
+"""Cases that take most of the time; no other case reads their files."""
+
 
 def half(name: str, commands: str) -> int:
     read = [
@@ -24,10 +27,21 @@ def half(name: str, commands: str) -> int:
 
 @pytest.mark.parametrize("number", [0, 1])
 def test_all_cases_are_as_they_were(number: int) -> None:
-    chosen = [name for name, commands in all_cases().items() if half(name, commands) == number]
+    chosen = [
+        name
+        for name, commands in all_cases().items()
+        if half(name, commands) == number and name not in LONG
+    ]
     results, _ = run(chosen, 1, exact=True)
     assert differences(json.loads(GOLDEN.read_text(encoding="utf-8")), results) == []
     assert len(results) > 100
+
+
+@pytest.mark.slow
+def test_long_cases_are_as_they_were() -> None:
+    results, _ = run(LONG, exact=True)
+    assert differences(json.loads(GOLDEN.read_text(encoding="utf-8")), results) == []
+    assert len(results) == len(LONG)
 
 
 def test_one_bit_is_seen() -> None:
