@@ -112,8 +112,8 @@ def test_batches_hold_every_record_once(
     n_max: int,
 ) -> None:
     monkeypatch.setattr(laz, "_TOGETHER_BYTES", together)
-    header = read_header(chunks)
     with open_bytes(chunks) as source:
+        header = read_header(source)
         records = LazRecords(source, header)
         assert records.table.first_record.tolist() == [0, 10, 20, 25]
         assert records.table.first_byte[0] == header.data_offset + 8

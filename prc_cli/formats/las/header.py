@@ -397,27 +397,27 @@ def standard_bytes(point_format: int) -> int:
     return int(laspy.PointFormat(point_format).size)
 
 
-def read_header(path: Path) -> LasHeader:
+def read_header(source: InputBytes) -> LasHeader:
     """Read and check header, VLRs and extended VLRs; a file without records is accepted."""
-    with open_bytes(path) as source:
-        file_bytes = source.state()[0]
-        fields = _read_fields(source, file_bytes)
-        point_format = fields.get("point_format") & ~COMPRESSED
-        compressed = bool(fields.get("point_format") & COMPRESSED)
-        n_records = fields.get("legacy_n_points")
-        is_legacy_count = False
-        if fields.has("n_points"):
-            # some LAS 1.4 writers leave the new count 0; formats 6 and up must not use the old one
-            is_legacy_count = not fields.get("n_points") and n_records > 0 and point_format < 6
-            n_records = n_records if is_legacy_count else fields.get("n_points")
-        data_offset = fields.get("point_offset")
-        record_bytes = fields.get("record_length")
-        if not n_records and fields.get("legacy_n_points"):
-            raise no_records(path, fields, file_bytes - data_offset)
-        vlrs, vlr_end = _read_vlrs(source, fields)
-        if not compressed:
-            _check_count(path, n_records, fields, file_bytes)
-        evlrs = _read_evlrs(source, fields, file_bytes) if fields.get("n_evlrs") else ()
+    path = source.path
+    file_bytes = source.state()[0]
+    fields = _read_fields(source, file_bytes)
+    point_format = fields.get("point_format") & ~COMPRESSED
+    compressed = bool(fields.get("point_format") & COMPRESSED)
+    n_records = fields.get("legacy_n_points")
+    is_legacy_count = False
+    if fields.has("n_points"):
+        # some LAS 1.4 writers leave the new count 0; formats 6 and up must not use the old one
+        is_legacy_count = not fields.get("n_points") and n_records > 0 and point_format < 6
+        n_records = n_records if is_legacy_count else fields.get("n_points")
+    data_offset = fields.get("point_offset")
+    record_bytes = fields.get("record_length")
+    if not n_records and fields.get("legacy_n_points"):
+        raise no_records(path, fields, file_bytes - data_offset)
+    vlrs, vlr_end = _read_vlrs(source, fields)
+    if not compressed:
+        _check_count(path, n_records, fields, file_bytes)
+    evlrs = _read_evlrs(source, fields, file_bytes) if fields.get("n_evlrs") else ()
     return LasHeader(
         path=path,
         file_bytes=file_bytes,

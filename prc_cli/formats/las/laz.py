@@ -31,7 +31,6 @@ from prc_cli.formats.las.header import (
     Vlr,
     damaged,
     make_vlr,
-    open_bytes,
 )
 from prc_cli.formats.writing.disk import WRITE_BYTES
 
@@ -426,9 +425,10 @@ class LazRecords:
         while chunk < self.n_chunks:
             first = int(bounds[chunk])
             end = max(int(np.searchsorted(bounds, first + n_together, side="right")) - 1, chunk + 1)
-            # a second handle: the decoder needs the position of the first one unchanged
-            with open_bytes(self.header.path) as source:
-                self._check_layers(source, chunk, end)
+            # the decoder goes on where it stopped
+            position = self._source.tell()
+            self._check_layers(chunk, end)
+            self._source.seek(position)
             stop = int(bounds[end])
             # decode whole chunks even if longer than a batch: only then is damage noticed
             step = stop - first if in_memory else n_max
@@ -502,13 +502,15 @@ class LazRecords:
             n_records, *layers = layout.unpack(head) if len(head) == layout.size else (0,)
             yield n_records, self.header.record_bytes + layout.size + sum(layers)
 
-    def _check_layers(self, source: InputBytes, first: int, end: int) -> None:
+    def _check_layers(self, first: int, end: int) -> None:
         """Compare the sizes declared in chunks of point formats 6-10 with the chunk table."""
         if self.header.point_format < LAYERED_FORMATS:
             return
         path = self.header.path
         table = self.table
-        chunks = zip(self.heads(source, first, end), self.sizes(first, end).tolist(), strict=True)
+        chunks = zip(
+            self.heads(self._source, first, end), self.sizes(first, end).tolist(), strict=True
+        )
         for chunk, ((n_declared, declared_bytes), (n_records, n_bytes)) in enumerate(
             chunks, start=first
         ):

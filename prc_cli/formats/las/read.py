@@ -53,8 +53,12 @@ class LasSource:
 
     def __init__(self, path: Path, chunk_records: int = CHUNK_RECORDS) -> None:
         self._path = path
-        self.header: LasHeader = read_header(path)
-        check_decodable(self.header)
+        self._n_unread_chunks = 0
+        with open_bytes(path) as source:
+            self.header: LasHeader = read_header(source)
+            check_decodable(self.header)
+            if self.header.compressed:
+                self._n_unread_chunks = LazRecords(source, self.header).table.n_unread
         self._chunk_records = max(1, min(chunk_records, CHUNK_BYTES // self.header.record_bytes))
         self._layout = read_layout(self.header)
         self.laz_contexts = (
@@ -62,10 +66,6 @@ class LasSource:
         )
         """Kept from the records that :meth:`chunks` decodes, for rewriting the file."""
         self._reading = Reading()
-        self._n_unread_chunks = 0
-        if self.header.compressed:
-            with open_bytes(path) as source:
-                self._n_unread_chunks = LazRecords(source, self.header).table.n_unread
 
     @property
     def path(self) -> str:

@@ -146,10 +146,14 @@ class Plan:
 
 def read_las(path: Path) -> LasHeader:
     """Read header, VLRs and EVLRs of a LAS or LAZ file, and check its chunk table."""
-    las = read_header(path)
+    with open_bytes(path) as source:
+        return _checked_header(source)
+
+
+def _checked_header(source: InputBytes) -> LasHeader:
+    las = read_header(source)
     if las.compressed:
-        with open_bytes(path) as source:
-            LazRecords(source, las)
+        LazRecords(source, las)
     return las
 
 
@@ -304,9 +308,9 @@ class _PointWriter:
         """Compare the CRC-32 of the output: lazrs 0.8.2 damages packets of several channels."""
         if not self._plan.is_checked:
             return
-        las = read_header(written)
         checksum = 0
         with open_bytes(written) as source:
+            las = read_header(source)
             for records in read_records(source, las, self._plan.batch):
                 checksum = zlib.crc32(np.ascontiguousarray(records).data, checksum)
         if checksum != self._checksum:
@@ -488,15 +492,12 @@ class LasRewriter(ScatterWriter):
         self._source_path = labels.source.path
         self._laz_contexts = None if labels.is_part else labels.laz_contexts
         self._user_names = dict(labels.user_names)
-        # compared at the end: another program may have changed the input
-        self._state_at_start = self._source_state()
-        self._las = read_las(labels.source.path)
+        with open_bytes(self._source_path) as source:
+            # compared at the end: another program may have changed the input
+            self._state_at_start = source.state()
+            self._las = _checked_header(source)
         super().__init__(labels, asked_columns(labels.options), self._las.n_records)
         self._compress = labels.path.suffix.lower() == LAZ
-
-    def _source_state(self) -> tuple[int, int, int, int]:
-        with open_bytes(self._source_path) as source:
-            return source.state()
 
     def _write(self, record: RunRecord) -> RunRecord:
         las = read_las(self._source_path)
@@ -546,8 +547,9 @@ class LasRewriter(ScatterWriter):
             moved_pages = {page.position: tail.moved(page.position) for page in splice.pages}
             move_index(self._temporary, las, splice, moved_chunks, moved_pages)
         points.check(self._temporary, self.path)
-        if self._source_state() != self._state_at_start:
-            raise self._changed("changed while it was read")
+        with open_bytes(self._source_path) as source:
+            if source.state() != self._state_at_start:
+                raise self._changed("changed while it was read")
         return record
 
     def _changed(self, problem: str) -> InputError:

@@ -20,6 +20,7 @@ from prc_cli.formats.las.header import (
     Vlr,
     VlrKey,
     make_vlr,
+    open_bytes,
     read_header,
     text_of,
 )
@@ -66,7 +67,9 @@ def lookup_vlr(names: Mapping[int, str]) -> Vlr:
 def names_of_file(path: Path) -> dict[int, str]:
     """Return the names of user codes in a LAS or LAZ file."""
     names: dict[int, str] = {}
-    for data in read_header(path).find(LOOKUP_KEY):
+    with open_bytes(path) as source:
+        header = read_header(source)
+    for data in header.find(LOOKUP_KEY):
         for code, name in _names(data).items():
             if code >= FIRST_USER_CODE and name:
                 names.setdefault(code, name)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from laspy.vlrs.vlrlist import VLRList
 
-from prc_cli.formats.las.header import read_header
+from prc_cli.formats.las.header import open_bytes, read_header
 from tests.formats.las.test_rewrite import random_labels, record_blocks, write
 
 
@@ -70,7 +70,8 @@ def test_an_index_that_lies_is_left_out(tmp_path: Path) -> None:
     output = tmp_path / "out.laz"
     n = len(make_copc(source))
     data = bytearray(source.read_bytes())
-    las = read_header(source)
+    with open_bytes(source) as opened:
+        las = read_header(opened)
     position = next(evlr.start for evlr in las.evlrs if evlr.record_id == 1000) + 60
     good = bytes(data)
     for place, value in (

@@ -80,7 +80,7 @@ def make_laz(
 
 def chunks_of(path: Path) -> Splice | None:
     with open_bytes(path) as source:
-        return find_chunks(source, read_header(source.path))
+        return find_chunks(source, read_header(source))
 
 
 def labelled_copy(source: Path, output: Path) -> tuple[Parsed, np.ndarray]:
