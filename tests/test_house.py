@@ -123,7 +123,7 @@ def test_the_citation_names_this_version_and_both_papers() -> None:
     )
 
 
-REPORTS = {"cli/evaluate.py", "jobs/objects/__init__.py"}
+REPORTS = {"cli/evaluate.py", "cli/evaluate_answers.py", "jobs/objects/__init__.py"}
 """Modules that name suffixes of reports and lists, which are no scans."""
 
 

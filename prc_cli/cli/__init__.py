@@ -48,6 +48,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "explain": ("prc_cli.cli.explain:explain", "Explain why a shot has its class."),
     "evaluate": ("prc_cli.cli.evaluate:evaluate", "Compare predicted with reference classes."),
+    "check": (
+        "prc_cli.cli.check:check",
+        "Write a page to check a random sample of the classes by hand.",
+    ),
     "batch": (
         "prc_cli.cli.batch:batch",
         "Classify all files of an archive. An interrupted run can be resumed.",

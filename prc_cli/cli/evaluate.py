@@ -12,6 +12,7 @@ from typing import Any
 
 import click
 
+from prc_cli.cli.evaluate_answers import unless_answers
 from prc_cli.cli.options import (
     POSES,
     QUIET_FORM,
@@ -271,6 +272,7 @@ _OPTIONS = [
 @click.argument("paths", metavar="PREDICTED... REFERENCE", nargs=-1, required=True, type=NAMED)
 @add_options(*_OPTIONS)
 @window_options
+@unless_answers
 def evaluate(paths: tuple[tuple[str, Path], ...], **options: Any) -> None:
     """Compare PREDICTED with REFERENCE, record by record.
 
@@ -282,7 +284,7 @@ def evaluate(paths: tuple[tuple[str, Path], ...], **options: Any) -> None:
     each method. Its name comes from the run record, or from NAME=FILE.
 
     If the records are in different orders, use --match. A reference that was classified after
-    registration (CAR) needs --match nearest.
+    registration (CAR) needs --match nearest. REFERENCE can also be the answers of prc check.
 
     \b
     Examples:

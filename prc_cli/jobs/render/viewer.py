@@ -149,7 +149,7 @@ def render_viewer(
     scan.check()
     with temporary_folder("prc-render-") as scratch:
         words = vocabulary(chosen, loaded.config.classes)
-        classes, origin = _existing_classes(scan, loaded, chosen, words, scratch)
+        classes, origin = existing_classes(scan, loaded, chosen, words, scratch)
         if classes is None:
             loaded = decide(scan, loaded)
             origin = made_with(loaded)
@@ -216,14 +216,14 @@ def _check(output: Path, options: RenderOptions) -> None:
             raise ConfigError(name, "belongs to pictures, found --html", "leave one of them out")
 
 
-def _existing_classes(
+def existing_classes(
     scan: Input,
     loaded: LoadedConfig,
     options: RenderOptions,
     words: Vocabulary,
     folder: Path,
 ) -> tuple[RecordClasses | None, str]:
-    # classes of a label file or of the input, and their source
+    """Return the classes of a label file or of the input, and their source; None = no classes."""
     if options.labels is not None:
         classes = words.read(options.labels, options.labels_dimension, "predicted", folder)
         return classes, labels_of(options.labels)
@@ -418,12 +418,12 @@ def _of_files(
             () if records is None else tuple(name for name in names if name in records.dimensions)
         )
         if records is not None and present and (names is not AXES or present == AXES):
-            values |= _look_up(records, present, record)
+            values |= look_up_columns(records, present, record)
     return values
 
 
-def _look_up(records: Source, names: tuple[str, ...], record: I64) -> dict[str, F64]:
-    # columns of the records of some cells; NaN for cells without a record
+def look_up_columns(records: Source, names: tuple[str, ...], record: I64) -> dict[str, F64]:
+    """Return columns of the records of some cells; NaN for cells without a record."""
     flat = record.ravel()
     order = np.argsort(flat, kind="stable")
     sorted_ids = flat[order]
@@ -456,7 +456,7 @@ def _place(
         if xyz_m is None:
             continue
         placed = np.where(seen[..., None], xyz_m, np.nan)
-        across = _normal(placed[np.isfinite(placed).all(axis=2)])
+        across = plane_normal(placed[np.isfinite(placed).all(axis=2)])
         if across is None:
             return placed, True
         # only upright planes: scan-plane coordinates have no up and down
@@ -467,8 +467,8 @@ def _place(
     return np.where(seen[..., None], behind(behind_m[:, None], beam_rad, range_m), np.nan), False
 
 
-def _normal(points: F64) -> F64 | None:
-    # (3,) normal of the plane of all points; None if they fill space
+def plane_normal(points: F64) -> F64 | None:
+    """Return the normal of the plane of all points, (3,) float64; None if they fill space."""
     if len(points) < 3:
         return None
     sample = points[:: max(1, len(points) // 20_000)]
