@@ -669,7 +669,7 @@ def _cast_round(
 
 
 @helper
-def _mix(x: np.uint64) -> np.uint64:
+def mix(x: np.uint64) -> np.uint64:
     """Mix the bits of a number (the finaliser of SplitMix64, Steele et al. 2014)."""
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -679,13 +679,13 @@ def _mix(x: np.uint64) -> np.uint64:
 @helper
 def _chance(x: np.uint64) -> float:
     """Turn a number into one from 0 to below 1."""
-    return np.float64(np.int64(_mix(x) >> np.uint64(11))) * 2.0**-53
+    return np.float64(np.int64(mix(x) >> np.uint64(11))) * 2.0**-53
 
 
 @helper
 def _shot_key(body_key: np.uint64, shot: int, t_min: float) -> np.uint64:
     cast = np.uint64(np.int64(np.floor(t_min * 1024.0)))
-    return _mix(body_key ^ _mix(np.uint64(shot) + _SHOT)) ^ (cast * _CAST)
+    return mix(body_key ^ mix(np.uint64(shot) + _SHOT)) ^ (cast * _CAST)
 
 
 @helper
@@ -708,7 +708,7 @@ def _facing(
         cosine = abs(b + t * a) / ((radius + growth * t) * np.sqrt(1.0 + ready[8] * ready[8]))
         return cosine if cosine < 1.0 else 1.0
     if leaves.rate > 0.0:  # leaves face everywhere; those that face the shot are met more often
-        body_key = _mix(np.uint64(np.int64(leaves.number)) + _BODY)
+        body_key = mix(np.uint64(np.int64(leaves.number)) + _BODY)
         key = _shot_key(body_key, leaves.shot, rays[7, i])
         return float(np.sqrt(_chance(key + _LEAF)))
     x, y, z, dx, dy, dz = _turned(rays, i, vx, vy, ready)
@@ -757,7 +757,7 @@ def _cast_leaves(
     """Send a window of shots through a body that is filled with leaves."""
     vx = velocity[0]
     vy = velocity[1]
-    key = _mix(np.uint64(np.int64(leaves.number)) + _BODY)
+    key = mix(np.uint64(np.int64(leaves.number)) + _BODY)
     for i in range(start, stop):
         begin = rays[7, i]
         if not begin < _FARTHEST_M:
@@ -770,7 +770,7 @@ def _cast_leaves(
         now = enter if enter > begin else begin
         if not (enter < leave and now < leave and now <= t[i]):
             continue
-        chance = _mix(_shot_key(key, leaves.shot + i, begin) + _PATH)
+        chance = mix(_shot_key(key, leaves.shot + i, begin) + _PATH)
         left = quantiles[np.int64(chance >> np.uint64(11)) % len(quantiles)]
         here = _walk(x, y, z, dx, dy, dz, now, leave, t[i], leaves.rate, left, key)
         if here < t[i] or (here == t[i] and b < body[i] and here < np.inf):

@@ -26,6 +26,7 @@ from prc_cli.core.types import (
     U8_2,
     Mask_2,
 )
+from prc_cli.simulation.casting_loops import mix
 from prc_cli.simulation.thresholds import Hits, SensorModel
 
 GLASS = 1
@@ -78,16 +79,8 @@ class _Hit(NamedTuple):
 
 
 @helper
-def _mix(x: np.uint64) -> np.uint64:
-    """Scramble 64 bits (finaliser of SplitMix64, Steele et al. 2014)."""
-    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return x ^ (x >> np.uint64(31))
-
-
-@helper
 def _key(seed: int, line: int) -> np.uint64:
-    return _mix(_mix(np.uint64(seed)) + np.uint64(line) * np.uint64(0x9E3779B97F4A7C15))
+    return mix(mix(np.uint64(seed)) + np.uint64(line) * np.uint64(0x9E3779B97F4A7C15))
 
 
 @helper
@@ -98,7 +91,7 @@ def _draw(key: np.uint64, column: int, purpose: int) -> float:
         + np.uint64(column) * np.uint64(0xD1B54A32D192ED03)
         + np.uint64(purpose) * np.uint64(0x8CB92BA72F3D8DD7)
     )
-    return float(_mix(bits) >> np.uint64(11)) * 2.0**-53
+    return float(mix(bits) >> np.uint64(11)) * 2.0**-53
 
 
 @helper

@@ -6,9 +6,9 @@ import numpy as np
 
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, U8
-from prc_cli.methods.fused.classes_loops import fused_labels
+from prc_cli.methods.fused.classes_loops import MARGIN, fused_labels
 from prc_cli.methods.fused.curbs_loops import curb_labels
-from prc_cli.methods.fused.fans_loops import fan_cars
+from prc_cli.methods.fused.fans_loops import BINS, LINES, fan_cars
 from prc_cli.methods.fused.ground import Ground
 from prc_cli.methods.fused.noise_loops import noise_again
 from prc_cli.methods.fused.plane import VOTE_LINES, WIDE_LINES, ScanPlane
@@ -25,9 +25,6 @@ from prc_cli.methods.fused.thresholds import (
 )
 from prc_cli.methods.fused.votes_loops import vote_labels
 
-LINES = 12
-BINS = 200
-"""As in :mod:`fans_loops`."""
 ROOM_SHARE = 0.01
 """In a room a smaller share of the returns is as far away as streets are wide.
 
@@ -35,8 +32,6 @@ In streets a quarter is, and more.
 """
 BESIDE_THIN_LINES = 33
 """Lines before and after a line in which something is seen past a trunk or a post."""
-THING_LINES = 20
-"""The same of a box; as MARGIN in :mod:`classes_loops`."""
 
 
 def is_room(range_m: F32, limits: Limits) -> bool:
@@ -120,7 +115,7 @@ def decide(
     all else of two more lines before and after; returns (lines, M) uint8,
     :class:`~prc_cli.core.classes.Reason`.
     """
-    beside = (len(window_m) - len(texture)) // 2 - THING_LINES
+    beside = (len(window_m) - len(texture)) // 2 - MARGIN
     labels: U8 = fused_labels(
         window_m[beside : len(window_m) - beside],
         ground.above_m,

@@ -66,13 +66,13 @@ from prc_cli.methods.fused.records import (
     Surroundings,
     Walls,
 )
+from prc_cli.methods.fused.strips_loops import count_bits
+from prc_cli.methods.fused.texture_loops import LINES, MOST_SMOOTH, write_pairs
 from prc_cli.methods.fused.thresholds import DecisionThresholds
 
 Counts = NDArray[np.uint32]
 """Shots in the upper half of a word, their smooth pairs in the lower half."""
 
-LINES = 2
-"""Lines before and after a line that its texture is computed from."""
 MARGIN = 20
 """Lines of the window before and after the block."""
 BESIDE = 12
@@ -88,8 +88,6 @@ BOX_SMOOTH = 3
 """Smooth pairs of a smooth shot of a box."""
 BOX_SHARE = np.float32(0.8)
 """Least share of such shots."""
-MOST_SMOOTH = 8
-"""Greatest number of smooth pairs that counts."""
 LEAST_COLUMNS = 2
 """Least half width of a place, in columns."""
 HALF_STRIP_M = np.float32(0.25)
@@ -389,7 +387,7 @@ def _label_uprights(
         if i >= end:
             end, is_round = _round_run(range_m, side_m, height_m, kind, i, limits)
         above_slots = rough_slots[beside.bin[i] >> 1] >> np.uint64(_slot(above_m[i]))
-        if np.float32(_bits(above_slots)) >= limits.crown_slots:
+        if np.float32(count_bits(above_slots)) >= limits.crown_slots:
             rule = _CROWN
         elif kind[i] == FEW_SHOTS:
             rule = labels[i]  # too few shots to tell a post: step 5
@@ -702,17 +700,6 @@ def _lay_out(range_m: F32, beams: Beams, side_m: F32, height_m: F32) -> None:
 
 
 @helper
-def _count_pairs(near: U8, smooth: U8, least: np.float32, counts: Counts) -> None:
-    """Write the counts of a line's shots with enough near neighbours.
-
-    A place has at most 605 shots and 4840 pairs, so neither half of a word overflows.
-    """
-    for i in range(len(near)):
-        pairs = np.uint32(min(smooth[i], np.uint8(MOST_SMOOTH)))
-        counts[i] = pairs | np.uint32(1 << 16) if np.float32(near[i]) >= least else np.uint32(0)
-
-
-@helper
 def _sum_up_three(before: Counts, middle: Counts, after: Counts, sums: Counts) -> None:
     """Write the sums of the first 0, 1, ... columns of three lines together, (M + 1,)."""
     sums_after = sums[1:]
@@ -746,16 +733,7 @@ def _slots_around(word: np.uint64, slot: int) -> int:
     low = max(slot - LEAF_REACH, 0)
     high = min(slot + LEAF_REACH, SLOTS - 1)
     ones = ~np.uint64(0) >> np.uint64(SLOTS - 1 - (high - low))
-    return _bits(word & (ones << np.uint64(low)))
-
-
-@inlined
-def _bits(word: np.uint64) -> int:
-    n = 0
-    while word != np.uint64(0):
-        word &= word - np.uint64(1)
-        n += 1
-    return n
+    return count_bits(word & (ones << np.uint64(low)))
 
 
 @helper
@@ -901,7 +879,7 @@ def fused_labels(
     counts = np.empty((3, m), np.uint32)
     least = thresholds.least_near
     for k in range(LINES - 1, LINES + 1):
-        _count_pairs(near[k], smooth[k], least, counts[k - LINES + 1])
+        write_pairs(near[k], smooth[k], least, counts[k - LINES + 1])
     for n in range(n_lines):
         k = n + LINES
         row = n + MARGIN
@@ -930,7 +908,7 @@ def fused_labels(
         _copy_walls(walls, n, walls_of_line)
         _look_beside(shots[:n_shots], walls_of_line, cars, beside)
 
-        _count_pairs(near[k + 1], smooth[k + 1], least, counts[(n + 2) % 3])
+        write_pairs(near[k + 1], smooth[k + 1], least, counts[(n + 2) % 3])
         _sum_up_three(counts[0], counts[1], counts[2], count_sums)
         _half_widths(range_m, step_rad, half_widths)
         _label_doubtful_shots(

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import Label
-from prc_cli.core.loops import helper, inlined, loop
+from prc_cli.core.loops import helper, loop
 from prc_cli.core.types import F32, F32_2, I32_2, I64, I64_1, I64_2, U8, U8_2
 from prc_cli.methods.fused.records import (
     SLOT_M,
@@ -17,6 +17,7 @@ from prc_cli.methods.fused.records import (
     Neighbours,
     Walls,
 )
+from prc_cli.methods.fused.strips_loops import count_bits
 
 Words = NDArray[np.uint64]
 
@@ -123,26 +124,17 @@ def _measure_agreement(
         agrees[i] = np.float32(same) / np.float32(total)
 
 
-@inlined
-def _count_bits(word: np.uint64) -> int:
-    n = 0
-    while word != np.uint64(0):
-        word &= word - np.uint64(1)
-        n += 1
-    return n
-
-
 @helper
 def _measure_strips(slots_by_any: Words, slots_by_rough: Words, strips: F32) -> None:
     """Write, for every strip of a line, its rough share of slots, its top and its filled height."""
     for b in range(STRIPS):
-        n_filled = _count_bits(slots_by_any[b])
+        n_filled = count_bits(slots_by_any[b])
         n_slots = 0
         word = slots_by_any[b]
         while word != np.uint64(0):
             word >>= np.uint64(1)
             n_slots += 1
-        strips[0, b] = np.float32(_count_bits(slots_by_rough[b])) / np.float32(max(n_filled, 1))
+        strips[0, b] = np.float32(count_bits(slots_by_rough[b])) / np.float32(max(n_filled, 1))
         strips[1, b] = np.float32(n_slots) * SLOT_M
         strips[2, b] = np.float32(n_filled) * SLOT_M
     strips[0, STRIPS] = strips[1, STRIPS] = strips[2, STRIPS] = np.float32(0.0)

@@ -17,12 +17,11 @@ from prc_cli.methods.fused.records import (
     Beams,
     StripSums,
 )
+from prc_cli.methods.fused.strips_loops import LINES, sum_around
 from prc_cli.methods.fused.thresholds import FlankThresholds
 
 BIN_M = np.float32(0.125)
 """Width of a bin of ground, a quarter of a strip [m]."""
-LINES = 2
-"""Lines before and after that are combined with a line."""
 BINS = 2 * STRIPS
 """Bins of ground on either side."""
 LEVEL_BIN_M = np.float32(0.25)
@@ -34,22 +33,6 @@ MOST_SLOTS = 12
 FEWER = 4
 """Ground seen through the body is less than that beneath, divided by this."""
 _FAR = np.float32(1e6)
-
-
-@helper
-def _add_around(
-    values: F32,
-    line: int,
-    lines: F32,
-    sums: F32,
-) -> None:
-    """Add up the values of five lines, and then of three strips."""
-    for b in range(STRIPS):
-        before = (values[line, b] + values[line + 1, b]) + values[line + 2, b]
-        lines[b + 1] = (before + values[line + 3, b]) + values[line + 4, b]
-    lines[0] = lines[STRIPS + 1] = np.float32(0.0)
-    for b in range(STRIPS):
-        sums[b] = (lines[b] + lines[b + 1]) + lines[b + 2]
 
 
 @helper
@@ -176,9 +159,9 @@ def find_flanks(
             continue
         line = k - 2 * LINES
         all_levels[line] = levels[line]
-        _add_around(sums.length_m, line, lines, lengths)
-        _add_around(wall, line, lines, walls)
-        _add_around(sums.wall_place, line, lines, places)
+        sum_around(sums.length_m, line, lines, lengths)
+        sum_around(wall, line, lines, walls)
+        sum_around(sums.wall_place, line, lines, places)
         for b in range(STRIPS):
             flanks[line, b] = 0
             if (

@@ -8,17 +8,13 @@ import numpy as np
 
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, I32, Mask
-from prc_cli.methods.fused.ground_loops import walk_ground
+from prc_cli.methods.fused.ground_loops import BINS, DEPTHS, walk_ground
 from prc_cli.methods.fused.plane import ScanPlane
 from prc_cli.methods.fused.records import Neighbours, WalkMemory
 from prc_cli.methods.fused.thresholds import WalkThresholds
 
-BINS = 320
-"""Number of 0.25 m bins on either side for which a ground height is kept."""
 NEVER = 1 << 20
 """Age of a bin that was never seen [lines]."""
-DEPTHS = 1000
-"""Depths below the scanner, 0.1 m apart, at which the ground is searched where none is known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

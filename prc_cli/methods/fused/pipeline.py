@@ -43,6 +43,7 @@ from prc_cli.methods.fused import (
     classes_loops,
     confidence_loops,
     curbs_loops,
+    fans_loops,
     flanks_loops,
     ground_loops,
     neighbours_loops,
@@ -55,7 +56,6 @@ from prc_cli.methods.fused import (
 )
 from prc_cli.methods.fused.classes import (
     BESIDE_THIN_LINES,
-    LINES,
     decide,
     find_cars,
     find_curbs,
@@ -109,7 +109,7 @@ Scanners in forests have 2 to 3 mm; 30 mm cost .03 of F1.
 """
 OUTSIDE_LINES = SPACED_LINES - BESIDE_THIN_LINES - VOTE_LINES
 """Outermost lines of the window that no label depends on."""
-FOLLOWING_LINES = SPACED_LINES + LINES
+FOLLOWING_LINES = SPACED_LINES + fans_loops.LINES
 """Lines after a block that its labels depend on, where cars are found by profiles."""
 MARGIN_LINES = BESIDE_THIN_LINES + VOTE_LINES
 """Lines of a stream before and after a block that its labels depend on."""
@@ -553,7 +553,7 @@ def lines_apart(strides: I64) -> I64:
 
 def lines_ahead(plane: ScanPlane, limits: Limits) -> int:
     """Return how many lines after a block are labelled with it, to find a car in its last line."""
-    return LINES if has_car_profiles(plane, limits) else 0
+    return fans_loops.LINES if has_car_profiles(plane, limits) else 0
 
 
 def streams_of(

@@ -21,14 +21,9 @@ from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.methods.fused.neighbours import smooth_pairs
 from prc_cli.methods.fused.plane import ScanPlane
-from prc_cli.methods.fused.spacing_loops import leaf_repeats
+from prc_cli.methods.fused.spacing_loops import EVERY_LINE, LAGS, MOST_LAG, leaf_repeats
 from prc_cli.methods.fused.thresholds import Smoothness, Spaced, SpacingThresholds
 
-LAGS = (1, 2, 4, 8, 16)
-"""Distances of neighbouring lines that are tried, in lines."""
-MOST_LAG = LAGS[-1]
-EVERY_LINE = 4
-"""Every fourth line of the stream is compared."""
 AHEAD_LINES = 16
 """Lines after a line that decide its distance."""
 BESIDE_LINES = 3

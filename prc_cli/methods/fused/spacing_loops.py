@@ -13,8 +13,7 @@ from prc_cli.methods.fused.thresholds import SpacingThresholds
 
 LAGS = (1, 2, 4, 8, 16)
 """Distances of the lines that are compared, in lines."""
-MOST_LAG = 16
-"""The largest of them."""
+MOST_LAG = LAGS[-1]
 BESIDE = 2
 """Columns to the shot of the line itself that is compared too."""
 ROWS = len(LAGS) + 1

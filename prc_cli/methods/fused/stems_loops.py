@@ -11,6 +11,7 @@ import numpy as np
 from prc_cli.core.classes import Label, Reason
 from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_2, F64, F64_1, F64_2, I32, I32_2, U8, U8_2, Mask, Mask_2
+from prc_cli.core.union_find_loops import find_root
 from prc_cli.methods.fused.records import RunPoints, RunStarts
 from prc_cli.methods.fused.thresholds import (
     ForestThresholds,
@@ -472,14 +473,6 @@ def upright_runs(
 
 
 @helper
-def _root(parent: I32, run: int) -> int:
-    while parent[run] != run:
-        parent[run] = parent[parent[run]]
-        run = parent[run]
-    return run
-
-
-@helper
 def _join_lines(
     earlier_m: F32,
     later_m: F32,
@@ -506,8 +499,8 @@ def _join_lines(
         if (run == last_run) & (run_before == last_before):
             continue
         if abs(r - np.float64(earlier_m[place])) < near + share * r:
-            root = _root(parent, run)
-            root_before = _root(parent, run_before)
+            root = find_root(parent, run)
+            root_before = find_root(parent, run_before)
             parent[max(root, root_before)] = min(root, root_before)
             last_run = run
             last_before = run_before
@@ -549,7 +542,7 @@ def stem_shots(
             parent,
         )
     for run in range(1, n_runs):
-        root = _root(parent, run)
+        root = find_root(parent, run)
         sums[root, _SHOTS] += table[run, COUNT]
         sums[root, _PASSED] += table[run, PASSED]
         sums[root, _RUNS] += 1.0
@@ -559,7 +552,7 @@ def stem_shots(
     is_stem = np.empty(n_runs, np.bool_)
     is_stem[0] = False
     for run in range(1, n_runs):
-        root = _root(parent, run)
+        root = find_root(parent, run)
         is_stem[run] = (
             sums[root, _SHOTS] >= thresholds.shots
             and sums[root, _RUNS] >= thresholds.runs

@@ -70,6 +70,16 @@ def _bin(y: np.float32, width: np.float32) -> np.int32:
     return np.int32(np.floor(min(max(y / width, -_FAR_BINS), _FAR_BINS)))
 
 
+@inlined
+def count_bits(word: np.uint64) -> int:
+    """Return how many slots of a strip are marked."""
+    n = 0
+    while word != np.uint64(0):
+        word &= word - np.uint64(1)
+        n += 1
+    return n
+
+
 @helper
 def _count_lines_of_objects(
     range_m: F32,
@@ -694,7 +704,7 @@ def widen_levels(levels: U8_2) -> U8_2:
 
 
 @helper
-def _sum_around(
+def sum_around(
     values: F32,
     line: int,
     lines: F32,
@@ -766,9 +776,9 @@ def find_walls(sums: StripSums, flanks: U8_2, thresholds: WallThresholds) -> Wal
     n_filled = np.empty(STRIPS, np.uint8)
     least_m = thresholds.height_m * np.float32(2 * LINES + 1)
     for line in range(n_lines):
-        _sum_around(sums.length_m, line, lines, length_m)
-        _sum_around(sums.wall_m, line, lines, wall_m)
-        _sum_around(sums.wall_place, line, lines, places)
+        sum_around(sums.length_m, line, lines, length_m)
+        sum_around(sums.wall_m, line, lines, wall_m)
+        sum_around(sums.wall_place, line, lines, places)
         # the highest of five lines and three strips
         tops = sums.top_m
         for b in range(STRIPS):

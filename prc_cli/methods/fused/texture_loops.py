@@ -26,7 +26,7 @@ DEPTH_SHOTS = 4
 
 
 @helper
-def _write_pairs(
+def write_pairs(
     near: U8,
     smooth: U8,
     least_near: np.float32,
@@ -183,7 +183,7 @@ def mean_smoothness(
     columns = np.empty(m, np.int32)
     shots = np.empty(m + 1, np.int32)
     for k in range(n_lines + 2 * LINES):
-        _write_pairs(near[k], smooth[k], least_near, words[k % room])
+        write_pairs(near[k], smooth[k], least_near, words[k % room])
         if k < 2 * LINES:
             continue
         line = k - 2 * LINES

@@ -9,20 +9,12 @@ import numpy as np
 
 from prc_cli.core.loops import helper, loop
 from prc_cli.core.types import I32, I32_1, I32_2, I64, I64_1, Mask, Mask_2
+from prc_cli.core.union_find_loops import find_root
 
 ONES = 0x0101010101010101
 """Eight booleans that are all true, as a number."""
 NONE = np.int32(2**31 - 1)
 """Larger than the number of any component."""
-
-
-@helper
-def _root(parent: I32, run: int) -> int:
-    """Return the first run of a run's component, and shorten the path to it."""
-    while parent[run] != run:
-        parent[run] = parent[parent[run]]
-        run = parent[run]
-    return run
 
 
 @helper
@@ -79,7 +71,7 @@ def _find_runs(image: Mask) -> tuple[I32, I32, I32]:
                 above += 1
             root = run
             while above < first and edges[2 * above] < end:
-                root_above = _root(parent, above)
+                root_above = find_root(parent, above)
                 low = min(root, root_above)
                 if root != run:
                     parent[max(root, root_above)] = low

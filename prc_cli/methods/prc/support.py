@@ -15,7 +15,14 @@ from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
 from prc_cli.core.stream import CriticalZetas
 from prc_cli.core.types import F32, Mask
-from prc_cli.methods.prc.support_loops import background_mask, support_mask
+from prc_cli.methods.prc.support_loops import (
+    ABS,
+    CENTRED,
+    GUARD,
+    LITERAL,
+    background_mask,
+    support_mask,
+)
 
 N_IN_SLICE = 8
 """Neighbours in the line: i - 4 .. i + 4 without i (eq. 8)."""
@@ -142,8 +149,8 @@ def support(window: F32, points_per_line: int, params: SupportParams) -> Mask:
     )
 
 
-FORMS = {"centred": 0, "literal": 1, "abs": 2, "guard": 3}
-"""Interpretations of eq. 9, and their numbers in the kernel."""
+FORMS = {"centred": CENTRED, "literal": LITERAL, "abs": ABS, "guard": GUARD}
+"""Interpretations of eq. 9, and their numbers in the loop."""
 
 
 class BackgroundParams(Params):

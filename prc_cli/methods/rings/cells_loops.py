@@ -13,7 +13,6 @@ from prc_cli.core.types import (
     F32_3,
     F64_1,
     F64_2,
-    I32,
     I32_1,
     I32_2,
     I64_1,
@@ -21,6 +20,7 @@ from prc_cli.core.types import (
     Mask_1,
     Mask_2,
 )
+from prc_cli.core.union_find_loops import find_root
 from prc_cli.methods.rings.thresholds import (
     CellThresholds,
     LonelyThresholds,
@@ -374,14 +374,6 @@ def mean_around(
     return means
 
 
-@helper
-def _root(parent: I32, c: int) -> int:
-    while parent[c] != c:
-        parent[c] = parent[parent[c]]
-        c = parent[c]
-    return c
-
-
 @loop()
 def join_cells(grid: I32_2, where: I32_2, use: Mask_1) -> I32_1:
     """Return the body of every cell as the number of its first cell, (cells,) int32; -1 = unused.
@@ -397,13 +389,13 @@ def join_cells(grid: I32_2, where: I32_2, use: Mask_1) -> I32_1:
                 beside = grid[where[c, 0] + dp, where[c, 1] + dq]
                 if beside < 0 or not use[beside]:
                     continue
-                root = _root(parent, c)
-                root_beside = _root(parent, int(beside))
+                root = find_root(parent, c)
+                root_beside = find_root(parent, int(beside))
                 parent[max(root, root_beside)] = min(root, root_beside)
     body = np.full(len(where), -1, np.int32)
     for c in range(len(where)):
         if use[c]:
-            body[c] = _root(parent, c)
+            body[c] = find_root(parent, c)
     return body
 
 

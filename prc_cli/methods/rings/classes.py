@@ -11,7 +11,13 @@ from prc_cli.core.classes import Reason
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
 from prc_cli.methods.rings import cells_loops
-from prc_cli.methods.rings.cells_loops import join_cells, mean_around, measure_cells
+from prc_cli.methods.rings.cells_loops import (
+    SMOOTH,
+    TOP_LEVEL,
+    join_cells,
+    mean_around,
+    measure_cells,
+)
 from prc_cli.methods.rings.ground import Polar
 from prc_cli.methods.rings.thresholds import (
     BINS_PER_ROOT_M,
@@ -26,10 +32,8 @@ UNIFORM = 12.0**0.5
 FEWEST_INTENSITIES = 16
 MOST_EQUAL = 0.9
 """Intensities with fewer values, or with a larger share of equal ones, are not used."""
-SMOOTH = 1
-"""Bit of a mark, as in :mod:`cells_loops`."""
-N_LEVELS = 63
-"""More than the levels of height that :mod:`cells_loops` counts."""
+N_LEVELS = TOP_LEVEL + 2
+"""Levels of height of a cell, and one more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,6 +13,7 @@ import numpy as np
 
 from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_1, F32_2, F32_3, I32, I32_1, U8, U8_2, Mask, Mask_2
+from prc_cli.core.union_find_loops import find_root
 from prc_cli.methods.sequential_angle.thresholds import CurbThresholds, OpenRegions
 
 NONE = 0
@@ -118,15 +119,6 @@ def possible_curbs(
 
 
 @inlined
-def _root(parent: I32, label: int) -> int:
-    """Return the label of the whole region of a label; shortens the path for the next call."""
-    while parent[label] != label:
-        parent[label] = parent[parent[label]]
-        label = parent[label]
-    return label
-
-
-@inlined
 def _near(
     here: F32,
     k: int,
@@ -200,8 +192,8 @@ def _is_straight(
             if line_labels[k] < FIRST_REGION or line_labels[k - 1] < FIRST_REGION:
                 continue
             if (
-                _root(parent, line_labels[k]) != region
-                or _root(parent, line_labels[k - 1]) != region
+                find_root(parent, line_labels[k]) != region
+                or find_root(parent, line_labels[k - 1]) != region
             ):
                 continue
             change = abs(np.float64(angles[k]) - np.float64(angles[k - 1]))
@@ -274,7 +266,7 @@ def _connect_row(
         z = here[k, 2]
         label = NONE
         if k > 0 and row_labels[k - 1] != NONE and _near(here, k, here, k - 1, reach_2):
-            label = _root(parent, row_labels[k - 1])
+            label = find_root(parent, row_labels[k - 1])
             if label != HIGH:
                 low[label] = min(low[label], z)
                 high[label] = max(high[label], z)
@@ -292,7 +284,7 @@ def _connect_row(
         for j in range(max(k - 1, 0), min(k + 2, n)):
             if labels_above[j] == NONE:
                 continue
-            region_above = _root(parent, labels_above[j])
+            region_above = find_root(parent, labels_above[j])
             if region_above in (label, REJECTED, CURB) or not _near(here, k, above, j, reach_2):
                 continue
             label = _join(table, label, region_above, thresholds)
@@ -361,7 +353,7 @@ def _carry(
     for row in range(n_rows - first_row):
         for k in range(n):
             label = labels[row + first_row, k]
-            label = _root(parent, label) if label > HIGH else label
+            label = find_root(parent, label) if label > HIGH else label
             if label != NONE and number[label] == 0:
                 number[label] = FIRST_REGION + n_open
                 n_open += 1
@@ -472,7 +464,7 @@ def connect_verticals(
     for row in range(len(curb)):
         for k in range(n):
             label = labels[row + regions.n_given * n_sides, k]
-            curb[row, k] = label > HIGH and _root(parent, label) == CURB
+            curb[row, k] = label > HIGH and find_root(parent, label) == CURB
     begin = min(first_open, n_lines - 1)
     n_given = n_lines - begin if first_open == n_lines else 0
     return curb, _carry(table, n_sides, begin, n_given, n_ids)
