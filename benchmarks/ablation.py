@@ -68,8 +68,6 @@ STREET_STEPS: dict[str, Tables] = {
     "sides of pits": {"decision": {"pit_near": NEVER}},
     "lone leaves": {"decision": {"leaf_slots": NEVER}},
     "ghosts behind walls": {"decision": {"ghost_near": 0}},
-    "mirror images in cars": {"again": {"mirror_m": NEVER}},
-    "ranges that nothing around has": {"again": {"alone_texture": NEVER}},
     "cars by level surfaces": {"decision": {"car_bins": NO_BINS, "car_bins_rough": NO_BINS}},
     "cars by roofs": {"roof_step_rad": math.inf},
     "cars not in rooms": {"room_m": 0.0},

@@ -54,8 +54,6 @@ class Reason(IntEnum):
     BELOW_GROUND = 5 << 4 | Label.NOISE
     BEHIND_WALL = 6 << 4 | Label.NOISE
     IN_CAR = 7 << 4 | Label.NOISE
-    MIRRORED = 8 << 4 | Label.NOISE
-    RANGE_ALONE = 9 << 4 | Label.NOISE
     FAR_BELOW = 10 << 4 | Label.NOISE
     ALONE = 11 << 4 | Label.NOISE
     FLAKE = 12 << 4 | Label.NOISE

@@ -94,14 +94,6 @@ RULES: dict[Reason, Rule] = {
         ("decision.ghost_m", "decision.behind_m", "decision.ghost_near"),
     ),
     Reason.IN_CAR: Rule("isolated in a car, without a smooth pair", ("decision.least_near",)),
-    Reason.MIRRORED: Rule(
-        "within a car, but farther than the car, and on no surface: a mirror image",
-        ("again.mirror_m", "again.mirror_share"),
-    ),
-    Reason.RANGE_ALONE: Rule(
-        "no shot of the wider window is about as far",
-        ("again.alone_m", "again.alone_gap_m", "again.alone_texture"),
-    ),
     Reason.WALKED: Rule(
         "at the height of the ground, and the search along the ground includes it",
         ("decision.walked_m", "walk.step_m"),

@@ -27,7 +27,6 @@ from prc_cli.methods.fused.records import (
     Walls,
 )
 from prc_cli.methods.fused.thresholds import (
-    AgainThresholds,
     ChordThresholds,
     ColumnThresholds,
     CurbThresholds,
@@ -35,6 +34,7 @@ from prc_cli.methods.fused.thresholds import (
     DepthThresholds,
     FanThresholds,
     FlankThresholds,
+    LateLeafThresholds,
     NearThresholds,
     SmoothThresholds,
     SpacingThresholds,
@@ -602,39 +602,29 @@ def curb_case(rng: Generator) -> tuple[Any, ...]:
     return labels, scene.range_m, above, scene.beams, scene.step, chosen
 
 
-def again_case(rng: Generator) -> tuple[Any, ...]:
-    """Labels of lines with one more before and after than the block, ranges with three more."""
+def late_leaf_case(rng: Generator) -> tuple[Any, ...]:
+    """Labels and ranges of lines with one more before and after than the block."""
     scene = street(rng)
     n_lines = int(rng.integers(1, 4))
     m = scene.window.shape[1]
-    range_m = np.ascontiguousarray(scene.window[rng.integers(0, len(scene.window), n_lines + 6)])
+    range_m = np.ascontiguousarray(scene.window[rng.integers(0, len(scene.window), n_lines + 2)])
     if rng.random() < 0.5:
         # panes: most shots are before the others
         range_m[rng.random(range_m.shape) < 0.8] = rng.choice([3.0, 3.125])
-    labels = rng.choice([2, 3, 4, 5, 7], (n_lines + 2, m), p=[0.3, 0.1, 0.1, 0.2, 0.3]).astype(
+    labels = rng.choice([2, 3, 4, 5, 7], (n_lines + 2, m), p=[0.3, 0.1, 0.1, 0.4, 0.1]).astype(
         np.uint8
     )
-    if rng.random() < 0.5:
-        labels[labels != 2] = rng.choice([1, 7])
-    labels[np.isnan(range_m[2:-2])] = 0
+    labels[np.isnan(range_m)] = 0
     voted = labels[1:-1].copy()
     voted[voted == 5] = 4
-    smooth = rng.integers(0, rng.choice([11, 2, 4]), range_m.shape).astype(np.uint8)
-    smooth[np.isnan(range_m)] = 0
     above = rng.choice([0.0, 1.0], (n_lines, m)).astype(np.float32)
-    texture = rng.choice([0.1, 0.3, 1.0], (n_lines, m)).astype(np.float32)
     chosen = typed(
-        AgainThresholds,
-        mirror_m=rng.choice([0.3, 0.0, 1e9]),
-        mirror_share=rng.choice([0.0, 0.2, 0.7]),
-        alone_texture=rng.choice([0.15, 0.0, 1e9]),
+        LateLeafThresholds,
         foot_m=rng.choice([0.15, -1.0]),
-        alone_m=rng.choice([0.1, 0.0]),
-        alone_gap_m=rng.choice([0.75, 0.0]),
         leaves=rng.choice([3.0, 1e9]),
-        leaf_m=rng.choice([2.0, 0.2]),
+        range_m=rng.choice([2.0, 0.2, 0.125]),
     )
-    return labels, voted, range_m, smooth, above, texture, chosen
+    return labels, voted, range_m, above, chosen
 
 
 def fan_case(rng: Generator) -> tuple[Any, ...]:
@@ -744,7 +734,7 @@ CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     "near_counts": near_case,
     "plane_points": points_case,
     "smooth_counts": smooth_case,
-    "noise_again": again_case,
+    "leaves_amid_noise": late_leaf_case,
     "vote_labels": vote_case,
     "walk_ground": walk_case,
     "widen_levels": levels_case,

@@ -10,16 +10,16 @@ from prc_cli.methods.fused.classes_loops import MARGIN, fused_labels
 from prc_cli.methods.fused.curbs_loops import curb_labels
 from prc_cli.methods.fused.fans_loops import BINS, LINES, fan_cars
 from prc_cli.methods.fused.ground import Ground
-from prc_cli.methods.fused.noise_loops import noise_again
+from prc_cli.methods.fused.noise_loops import leaves_amid_noise
 from prc_cli.methods.fused.plane import VOTE_LINES, WIDE_LINES, ScanPlane
 from prc_cli.methods.fused.records import Neighbours
 from prc_cli.methods.fused.strips import Strips
 from prc_cli.methods.fused.texture_loops import mean_smoothness
 from prc_cli.methods.fused.thresholds import (
-    AgainThresholds,
     CurbThresholds,
     DecisionThresholds,
     FanThresholds,
+    LateLeafThresholds,
     Limits,
     Votes,
 )
@@ -152,30 +152,22 @@ def vote(
     return voted
 
 
-@stage("noise again")
-def find_late_noise(
+@stage("leaves amid noise")
+def find_late_leaves(
     decided: U8,
     voted: U8,
     range_m: F32,
-    smooth: U8,
     above_m: F32,
-    texture: F32,
-    limits: AgainThresholds,
+    limits: LateLeafThresholds,
 ) -> U8:
-    """Label noise that only a wider window shows; see :func:`noise_loops.noise_again`.
+    """Label leaves among the noise; see :func:`noise_loops.leaves_amid_noise`.
 
     ``decided`` (lines + 2, M) uint8 and ``voted`` (lines, M) uint8, labels; ``range_m, above_m``
-    (lines + 6, M) float32, metres; ``texture`` (lines + 2, M) float32; returns (lines, M) uint8.
+    (lines + 6, M) float32, metres; returns (lines, M) uint8.
     """
     inner = slice(WIDE_LINES + VOTE_LINES, -WIDE_LINES - VOTE_LINES)
-    labels: U8 = noise_again(
-        decided,
-        voted,
-        range_m,
-        smooth,
-        above_m[inner],
-        texture[VOTE_LINES:-VOTE_LINES],
-        limits,
+    labels: U8 = leaves_amid_noise(
+        decided, voted, range_m[WIDE_LINES:-WIDE_LINES], above_m[inner], limits
     )
     return labels
 

@@ -59,7 +59,7 @@ from prc_cli.methods.fused.classes import (
     decide,
     find_cars,
     find_curbs,
-    find_late_noise,
+    find_late_leaves,
     has_car_profiles,
     has_ceiling,
     is_room,
@@ -246,7 +246,8 @@ class FusedScanner:
         limits = STREET
         if float(plane.step_rad) < limits.foliage.depth_step_rad:
             # a leaf among leaves has near neighbours
-            limits = limits._replace(again=limits.again._replace(leaves=np.float32(NEVER)))
+            late = limits.late_leaves._replace(leaves=np.float32(NEVER))
+            limits = limits._replace(late_leaves=late)
         return cls(Plane.of(beam_rad), plane, limits)
 
     @property
@@ -820,9 +821,7 @@ def _decide(
     )
     decided = rules & bits
     voted = vote(decided, range_m[WIDE_LINES:-WIDE_LINES], plane, limits.votes)
-    late = find_late_noise(
-        decided, voted, range_m, neighbours.smooth, ground.above_m, texture, limits.again
-    )
+    late = find_late_leaves(decided, voted, range_m, ground.above_m, limits.late_leaves)
     late_labels = late & bits
     inner = slice(INNER_LINES + 1, -INNER_LINES - 1)
     labels = find_curbs(late_labels, range_m[inner], ground.above_m[inner], plane, limits.curbs)

@@ -301,28 +301,18 @@ class DecisionThresholds(NamedTuple):
     """... if they have fewer near neighbours than this."""
 
 
-class AgainThresholds(NamedTuple):
-    """Limits of noise that only a wider window shows."""
+class LateLeafThresholds(NamedTuple):
+    """What a leaf among the noise is.
 
-    mirror_m: np.float32 = f32(0.3)
-    """A mirror image in a car is farther than the car by more than this [m] ..."""
-    mirror_share: np.float32 = f32(0.7)
-    """... and this share of the shots on either side are of the car."""
-    alone_texture: np.float32 = f32(0.25)
-    """Rough shots may be alone if the share of smooth pairs around is greater ..."""
-    foot_m: np.float32 = FOOT_M
-    """... higher than this above the ground [m] ..."""
-    alone_m: np.float32 = f32(0.1)
-    """... with no other within this in range [m] ..."""
-    alone_gap_m: np.float32 = f32(0.75)
-    """... and none within this before, or behind [m]."""
-    leaves: np.float32 = f32(3)
-    """Noise is a leaf if so many leaves around, in three lines, ..."""
-    leaf_m: np.float32 = f32(2)
-    """... are within this in range [m].
-
-    Only if columns are at least :attr:`Foliage.depth_step_rad` apart.
+    Only where columns are at least :attr:`Foliage.depth_step_rad` apart.
     """
+
+    foot_m: np.float32 = FOOT_M
+    """It is higher than this above the ground [m]."""
+    leaves: np.float32 = f32(3)
+    """So many leaves around, in three lines, ..."""
+    range_m: np.float32 = f32(2)
+    """... are within this in range [m]."""
 
 
 class CurbThresholds(NamedTuple):
@@ -462,7 +452,7 @@ class Limits(NamedTuple):
     foliage: Foliage = Foliage()
     decision: DecisionThresholds = DecisionThresholds()
     votes: Votes | None = Votes()
-    again: AgainThresholds = AgainThresholds()
+    late_leaves: LateLeafThresholds = LateLeafThresholds()
     curbs: CurbThresholds | None = CurbThresholds()
     roofs: FanThresholds = FanThresholds()
     roof_step_rad: float = math.radians(0.2)

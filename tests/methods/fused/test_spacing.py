@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import pytest
 
 from prc_cli.core.classes import Label
 from prc_cli.core.stream import ScanBlock
@@ -21,12 +18,10 @@ from prc_cli.methods.fused.pipeline import (
 )
 from prc_cli.methods.fused.plane import ScanPlane
 from prc_cli.methods.fused.spacing import IN_LINE_PAIRS, SPACED_LINES, STANDS, spaced_pairs
-from prc_cli.methods.fused.thresholds import NEVER, Smoothness
+from prc_cli.methods.fused.thresholds import Smoothness
 from tests.methods.fused.street_lines import (
     BEAM,
     BUILDING,
-    CAR,
-    HEIGHT_M,
     VEGETATION,
     street_lines,
     with_limits,
@@ -126,60 +121,14 @@ def test_lines_of_all_distances_equal_streams_of_these_lines() -> None:
         )
 
 
-def classified(ranges: F32, **again: Any) -> U8:
-    scanner = with_limits(SCANNER, again=again)
-    turn = OneByOne(initial_state(scanner))
-    (block,) = Fused(FusedParams()).label(ScanBlock(0, ranges), scanner, turn, LABELS_ALONE)
+def classified(ranges: F32) -> U8:
+    turn = OneByOne(initial_state(SCANNER))
+    (block,) = Fused(FusedParams()).label(ScanBlock(0, ranges), SCANNER, turn, LABELS_ALONE)
     return block.labels
 
 
-def noise_share(labels: U8, where: np.ndarray[Any, Any], label: Label) -> float:
-    return float((labels[where] == label).mean())
-
-
-@pytest.fixture(scope="module")
-def street() -> tuple[F32, U8]:
-    return street_lines(48)
-
-
-def test_what_is_mirrored_by_a_car_is_noise(street: tuple[F32, U8]) -> None:
-    ranges = street[0].copy()
-    kind = street[1]
-    flank = (kind == CAR) & (np.abs(ranges * np.sin(BEAM) - 2.0) < 0.05)
-    flank[:19] = flank[29:] = False
-    chosen = np.random.default_rng(5).random(ranges.shape)
-    # some of the light goes through the panes
-    ranges[flank & (chosen < 0.4)] *= 1.15
-    mirrored = flank & (chosen > 0.95)
-    ranges[mirrored] *= 1.5
-    noisy_labels = classified(ranges)
-    former = classified(ranges, mirror_m=NEVER)
-    assert noise_share(noisy_labels, mirrored, Label.NOISE) > 0.95
-    assert noise_share(former, mirrored, Label.NOISE) < 0.8
-    assert noise_share(noisy_labels, flank & ~mirrored, Label.CAR) > 0.9
-
-
-def test_a_range_that_nothing_around_has_is_noise(street: tuple[F32, U8]) -> None:
-    ranges = street[0].copy()
-    kind = street[1]
-    rng = np.random.default_rng(8)
-    height = -ranges * np.cos(BEAM) + HEIGHT_M
-    chosen = rng.random(ranges.shape)
-    wall = (kind == BUILDING) & (height > 1) & (height < 5)
-    # bars before a wall: no surface is smooth enough for a spike
-    behind = np.arange(ranges.shape[1]) // 4 % 2 == 0
-    ranges[wall & behind] += 0.6
-    alone = wall & ~behind & (chosen > 0.997)
-    ranges[alone] -= 0.25
-    noisy_labels = classified(ranges)
-    former = classified(ranges, alone_texture=NEVER)
-    assert noise_share(former, alone, Label.NOISE) == 0.0
-    assert noise_share(noisy_labels, alone, Label.NOISE) > 0.6
-    assert noise_share(noisy_labels, wall & ~alone, Label.NOISE) < 0.01
-
-
-def test_labels_of_the_wider_window_do_not_depend_on_blocks(street: tuple[F32, U8]) -> None:
-    ranges = street[0]
+def test_labels_of_the_wider_window_do_not_depend_on_blocks() -> None:
+    ranges = street_lines(48)[0]
     whole = classified(ranges)
     params = FusedParams(lines_per_block=5)
     state = OneByOne(initial_state(SCANNER))
