@@ -66,8 +66,10 @@ def jobs_of(
     write_csv(text, small)
     labels = np.ones(image.size, np.uint8)
     few = labels[: min(n_lines, FULL_LINES[0]) * POINTS_PER_LINE]
-    with_m = load_config(preset="urban", options={"input": {"points_per_line": POINTS_PER_LINE}})
-    without = load_config(preset="urban")
+    with_m = load_config(
+        preset="prc-2019-urban", options={"input": {"points_per_line": POINTS_PER_LINE}}
+    )
+    without = load_config(preset="prc-2019-urban")
     load_classifier(with_m)
     in_memory = np.array(image[: FULL_LINES[0]])
 

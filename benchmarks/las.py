@@ -159,7 +159,7 @@ def main() -> None:
     # a long drive passes the same street again and again
     accepted = ["repeated-lines", "line-order"]
     rules = {"points_per_line": POINTS_PER_LINE, "accept_doubts": accepted}
-    config = load_config(preset="urban", options={"input": rules})
+    config = load_config(preset="prc-2019-urban", options={"input": rules})
     load_classifier(config)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -39,7 +39,11 @@ SICK = ROOT / "sample_configs" / "sick_push_broom.toml"
 def oakland(folder: Path) -> None:
     """Three labelled strips with the published and the adapted parameters."""
     for title, config, option in (
-        ("published urban parameters", load_config(preset="urban"), "--preset urban"),
+        (
+            "published urban parameters",
+            load_config(preset="prc-2019-urban"),
+            "--preset prc-2019-urban",
+        ),
         (
             "parameters for this sensor",
             load_config(SICK),
@@ -67,7 +71,7 @@ def forest(folder: Path) -> None:
     codes = ClassCodes().names()
     print(
         "## Park, forest preset\n\n```console\n$ prc classify tls_park.npz tls_park.npy "
-        "--preset forest\n```\n"
+        "--preset prc-2019-forest\n```\n"
     )
     print("| zeta_s, zeta_p | noise | ground | stem | vegetation |\n|---|---|---|---|---|")
     for zeta_s, zeta_p in ((0.01, 0.01), (1.0, 0.1)):
@@ -75,7 +79,7 @@ def forest(folder: Path) -> None:
         classify(
             source,
             folder / "park.npy",
-            load_config(preset="forest", options=options),
+            load_config(preset="prc-2019-forest", options=options),
             overwrite=True,
         )
         labels = np.load(folder / "park.npy")

@@ -549,7 +549,7 @@ def oakland(folder: Path) -> None:
     """The strips of a push-broom scanner, beside PRC."""
     runs = {
         "sequential-angle, 1 cm noise": street_scan(nadir=0.0, range_noise_m=0.01),
-        "PRC, published": load_config(preset="urban"),
+        "PRC, published": load_config(preset="prc-2019-urban"),
         "PRC, for this sensor": load_config(SICK),
     }
     print("## Oakland strips, beside PRC\n")
@@ -558,7 +558,7 @@ def oakland(folder: Path) -> None:
     )
     print("$ prc classify oakland_1.csv.gz labels.npy --preset street-scan --set input.nadir=0 \\")
     print("      --set sequential_angle.angles.range_noise_m=0.01")
-    print("$ prc classify oakland_1.csv.gz labels.npy --preset urban")
+    print("$ prc classify oakland_1.csv.gz labels.npy --preset prc-2019-urban")
     print("$ prc classify oakland_1.csv.gz labels.npy --config sample_configs/sick_push_broom.toml")
     print(
         "$ prc evaluate labels.npy oakland_1.csv.gz --mapping street_scan_oakland --format "

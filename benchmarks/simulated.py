@@ -176,7 +176,7 @@ def urban_config(zeta_p: float, area: int = 30, gamma: int = 2) -> LoadedConfig:
     options = {
         "prc": {"support": {"zeta_p": zeta_p}, "surfaces": {"area": float(area), "gamma": gamma}}
     }
-    return load_config(preset="urban", options=options)
+    return load_config(preset="prc-2019-urban", options=options)
 
 
 def urban(folder: Path) -> None:
@@ -195,7 +195,7 @@ def urban(folder: Path) -> None:
     in brackets; the paper's figure in italics.""")
     commands(
         f"prc simulate street street.npz --length {STREET_M:g} --seed {FIRST_SEED}",
-        "prc classify street.npz labels.npy --preset urban --set prc.support.zeta_p=0.1",
+        "prc classify street.npz labels.npy --preset prc-2019-urban --set prc.support.zeta_p=0.1",
         "prc evaluate labels.npy street.npz --mapping lehtola_urban",
     )
     for zeta, published in TABLE_I.items():
@@ -236,7 +236,7 @@ def print_areas(matrices: dict[tuple[float, int, int], list[ConfusionMatrix]]) -
     paper says: with γ = 0 fewer true and false positives of vegetation and more of building, with γ
     = 20 next to no building left; A = 10 and A = 100 within ten percentile points of A = 30.""")
     commands(
-        "prc classify street.npz labels.npy --preset urban --set prc.surfaces.area=10 "
+        "prc classify street.npz labels.npy --preset prc-2019-urban --set prc.surfaces.area=10 "
         "--set prc.surfaces.gamma=0"
     )
     print(
@@ -340,7 +340,7 @@ def walk(folder: Path, scene: str, seed: int) -> Walk:
 
 def forest_config(zeta_s: float, zeta_p: float) -> LoadedConfig:
     return load_config(
-        preset="forest", options={"prc": {"support": {"zeta_s": zeta_s, "zeta_p": zeta_p}}}
+        preset="prc-2019-forest", options={"prc": {"support": {"zeta_s": zeta_s, "zeta_p": zeta_p}}}
     )
 
 
@@ -365,8 +365,8 @@ def forest(folder: Path) -> None:
     commands(
         f"prc simulate forest walk.npz --length {WALK_M:g} --seed {FIRST_SEED} --reference "
         "cylinders",
-        "prc classify walk.npz labels.npy --preset forest --set prc.support.zeta_s=1 --set "
-        "prc.support.zeta_p=0.1",
+        "prc classify walk.npz labels.npy --preset prc-2019-forest --set prc.support.zeta_s=1 "
+        "--set prc.support.zeta_p=0.1",
         "prc evaluate labels.npy walk.npz --mapping lehtola_forest",
     )
     for zetas in ZETAS:
@@ -391,7 +391,7 @@ def unsupported(folder: Path) -> None:
     without its ground columns, which would take some of it back.""")
     commands(
         f"prc simulate forest walk.npz --length {WALK_M:g} --seed {FIRST_SEED}",
-        "prc classify walk.npz labels.npy --preset forest --set "
+        "prc classify walk.npz labels.npy --preset prc-2019-forest --set "
         "prc.forest.noise_in_ground_columns=false",
     )
     print("| forest | ζ_s, ζ_p | without support |\n|---|---|---:|")
@@ -400,7 +400,7 @@ def unsupported(folder: Path) -> None:
         for zeta_s, zeta_p in ZETAS:
             support = {"zeta_s": zeta_s, "zeta_p": zeta_p}
             options = {"prc": {"support": support, "forest": {"noise_in_ground_columns": False}}}
-            config = load_config(preset="forest", options=options)
+            config = load_config(preset="prc-2019-forest", options=options)
             classes = classify(
                 run.source, folder / "labels.npy", config, overwrite=True
             ).record.classes

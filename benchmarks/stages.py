@@ -88,8 +88,8 @@ def main() -> None:
     ranges = np.tile(piece, (20, 1))  # 100 MB: larger than any cache
     wide = np.tile(street(510, 4270), (12, 1))
     target = np.empty_like(ranges)
-    urban = load_config(preset="urban").config
-    forest = load_config(preset="forest").config
+    urban = load_config(preset="prc-2019-urban").config
+    forest = load_config(preset="prc-2019-forest").config
     settings = paper.Settings(k=urban.prc.lines_per_block)
     cores = default_threads()
     jobs: dict[str, tuple[Callable[[], object], int]] = {

@@ -33,7 +33,7 @@ The reference class, 0 = not judged.
 Random: TypeAlias = np.random.Generator
 
 METHODS: dict[str, tuple[str, ...]] = {
-    "prc": ("--preset", "urban"),
+    "prc": ("--preset", "prc-2019-urban"),
     "prc push-broom": ("--config", str(ROOT / "sample_configs" / "sick_push_broom.toml")),
     "prc forest": (
         "--preset",

@@ -81,7 +81,7 @@ def configuration_page() -> str:
         # Configuration
 
         A configuration is a TOML file. Layers, each over the one before: the defaults below, a
-        preset (`--preset urban`, or `preset = "urban"` as the first line of the file), the file
+        preset (`--preset rings`, or `preset = "rings"` as the first line of the file), the file
         (`--config FILE`), options. Unknown keys and values out of bounds are errors. `prc config
         show` prints the effective configuration with the source of every value, `prc config
         presets` lists the presets, `prc config check FILE` checks a file, `prc config schema`

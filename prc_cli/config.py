@@ -31,6 +31,7 @@ from prc_cli.core.config import (
 )
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.findings import Finding, Verdict
+from prc_cli.core.near import did_you_mean, same_name
 from prc_cli.core.stream import Assumption
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig, Layout
@@ -134,8 +135,8 @@ def tables_given(table: Mapping[str, Any]) -> list[MethodName]:
 
 
 PRESETS = (
-    "urban",
-    "forest",
+    "prc-2019-urban",
+    "prc-2019-forest",
     "fused",
     "fused-forest",
     "rings",
@@ -146,7 +147,11 @@ PRESETS = (
 """Names of the presets; each is a file of the sample configurations (:func:`preset_file`)."""
 
 
-ChosenPreset = Literal["urban", "fused", "fused-forest", "rings"]
+RENAMED_PRESETS = {"urban": "prc-2019-urban", "forest": "prc-2019-forest"}
+"""Current names of presets by their names before 2.0."""
+
+
+ChosenPreset = Literal["prc-2019-urban", "fused", "fused-forest", "rings"]
 """Presets that prc may choose for an input."""
 
 
@@ -167,7 +172,9 @@ class MethodChoice:
     @property
     def method(self) -> MethodName:
         """Name of the method."""
-        return {"urban": "prc", "rings": "rings"}.get(self.preset, "fused")  # type: ignore[return-value]
+        if self.preset == "prc-2019-urban":
+            return "prc"
+        return "rings" if self.preset == "rings" else "fused"
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -186,8 +193,8 @@ class MethodChoice:
     def assumption(self) -> Assumption:
         """The choice, for the run record.
 
-        >>> MethodChoice("urban", "as an example").assumption.value
-        'prc (--preset urban)'
+        >>> MethodChoice("prc-2019-urban", "as an example").assumption.value
+        'prc (--preset prc-2019-urban)'
         """
         return Assumption("method", f"{self.method} (--preset {self.preset})", self.why)
 
@@ -248,8 +255,8 @@ def load_config(
     Parameters
     ----------
     path : path, optional
-        TOML file; it may name a preset itself (``preset = "urban"``). Relative names inside it
-        start at its folder.
+        TOML file; it may name a preset itself (``preset = "fused-forest"``). Relative names
+        inside it start at its folder.
     preset : str, optional
         One of :data:`PRESETS`; wins over the preset that the file names.
     options : mapping, optional
@@ -266,7 +273,7 @@ def load_config(
 
     Examples
     --------
-    >>> loaded = load_config(preset="urban", options={"prc": {"support": {"zeta_p": 0.1}}})
+    >>> loaded = load_config(preset="prc-2019-urban", options={"prc": {"support": {"zeta_p": 0.1}}})
     >>> loaded.config.prc.support.zeta_p, loaded.sources["prc.support.zeta_p"]
     (0.1, 'option')
     """
@@ -279,7 +286,7 @@ def load_config(
     chosen = preset if preset is not None else named
     layers: list[tuple[str, Mapping[str, Any]]] = []
     if chosen is not None:
-        layers.append((f"{_PRESET}{chosen}", preset_table(chosen)))
+        layers.append(preset_layer(chosen))
     if file_path is not None:
         layers.append((str(file_path), from_folder(table, file_path.parent)))
     if options:
@@ -351,11 +358,33 @@ def preset_file(name: str) -> Path:
     return samples_folder() / f"{name.replace('-', '_')}.toml"
 
 
+def current_preset(name: Any) -> str:
+    """Return the name of a preset, also for a name before 2.0 or in another spelling.
+
+    >>> current_preset("urban"), current_preset("Street_Scan")
+    ('prc-2019-urban', 'street-scan')
+
+    Raises
+    ------
+    ConfigError
+        There is no such preset; the message names the nearest one, or all.
+    """
+    if isinstance(name, str):
+        found = same_name(name, (*PRESETS, *RENAMED_PRESETS))
+        if found is not None:
+            return RENAMED_PRESETS.get(found, found)
+    problem = f"found {name!r}, expected one of: {', '.join(PRESETS)}"
+    raise ConfigError("preset", problem, did_you_mean(str(name), PRESETS))
+
+
 def preset_table(name: Any) -> dict[str, Any]:
     """Return the table of a preset, or raise :class:`ConfigError` with the names of all presets."""
-    if not isinstance(name, str) or name not in PRESETS:
-        raise ConfigError("preset", f"found {name!r}, expected one of: {', '.join(PRESETS)}")
-    return read_toml(preset_file(name))
+    return read_toml(preset_file(current_preset(name)))
+
+
+def preset_layer(name: Any) -> tuple[str, dict[str, Any]]:
+    """Return a preset as a layer of :func:`from_layers`."""
+    return f"{_PRESET}{current_preset(name)}", preset_table(name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -377,7 +406,7 @@ def preset_summaries() -> list[PresetSummary]:
     """Read every preset.
 
     >>> [(preset.name, preset.n_changed) for preset in preset_summaries()][:3]
-    [('urban', 1), ('forest', 6), ('fused', 1)]
+    [('prc-2019-urban', 1), ('prc-2019-forest', 6), ('fused', 1)]
     """
     defaults = dict(flatten(RunConfig().to_table()))
     summaries = []
@@ -527,7 +556,9 @@ def parse_assignment(text: str) -> dict[str, Any]:
 
 def _parse_value(text: str) -> Any:
     try:
-        return parse_toml(f"value = {text}", "--set")["value"]
+        # .1 is a number for everybody but TOML
+        value = f"0{text}" if text.startswith(".") and text[1:].isdecimal() else text
+        return parse_toml(f"value = {value}", "--set")["value"]
     except ConfigError:
         return text
 

@@ -25,7 +25,7 @@ from tests.patience import HANGS_S, wait_until
 from tests.street import POINTS_PER_LINE, street, write_csv, write_endless, write_npz, write_raw
 
 OPTIONS = {"input": {"points_per_line": POINTS_PER_LINE}, "prc": {"lines_per_block": 15}}
-SHORT = load_config(preset="urban", options=OPTIONS)
+SHORT = load_config(preset="prc-2019-urban", options=OPTIONS)
 OURS = ("read-ahead", "write-behind", "fingerprint", "ThreadPoolExecutor")
 
 

@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def options(**inputs: object) -> LoadedConfig:
-    return load_config(preset="urban", options={"input": inputs})
+    return load_config(preset="prc-2019-urban", options={"input": inputs})
 
 
 # lower bounds a little under what is measured (docs/accuracy.md): a change that loses accuracy must
@@ -50,7 +50,7 @@ def test_oakland(
     building: float | None,
 ) -> None:
     source = real_data / "oakland" / f"oakland_{strip}.csv.gz"
-    classify(source, tmp_path / "urban.npy", load_config(preset="urban"))
+    classify(source, tmp_path / "urban.npy", load_config(preset="prc-2019-urban"))
     oakland_scores = scores(evaluate(tmp_path / "urban.npy", source, "oakland"))
     assert gate_value(oakland_scores, "f1.ground") > published_ground
     classify(
@@ -67,7 +67,9 @@ def test_profiler_from_time_and_trajectory(real_data: Path, tmp_path: Path) -> N
     source, recovered = jakarto(real_data)
     las = laspy.read(source)
     write_trajectory(tmp_path / "drive.csv", scanner_positions(las, recovered))
-    loaded = load_config(preset="urban", options={"input": jakarto_input(tmp_path / "drive.csv")})
+    loaded = load_config(
+        preset="prc-2019-urban", options={"input": jakarto_input(tmp_path / "drive.csv")}
+    )
     line, column, range_m, n_cells = placed(source, loaded, len(las))
     # half of the shots had no return: they are back, as missing ones
     assert n_cells == pytest.approx(4 * JAKARTO_M, rel=0.3)
@@ -139,7 +141,7 @@ def test_unordered_files_are_refused_with_the_evidence(
 
 def test_park_with_the_forest_preset(real_data: Path, tmp_path: Path) -> None:
     source = real_data / "forest" / "tls_park.npz"
-    summary = classify(source, tmp_path / "park.laz", load_config(preset="forest"))
+    summary = classify(source, tmp_path / "park.laz", load_config(preset="prc-2019-forest"))
     assert summary.counts.n_lines == 581
     with np.load(source) as park:
         n_missing = int(np.isnan(park["range_m"]).sum())
@@ -147,7 +149,7 @@ def test_park_with_the_forest_preset(real_data: Path, tmp_path: Path) -> None:
     las = laspy.read(tmp_path / "park.laz")
     assert len(las) == 581 * 2089 - n_missing
     assert set(np.unique(las.classification)) == {2, 5, 7, 64}
-    setup = inspect(source, load_config(preset="forest"))
+    setup = inspect(source, load_config(preset="prc-2019-forest"))
     assert setup.problem == ""
     assert setup.period is not None
     assert setup.period.points_per_line == 2089

@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parent.parent
 SAMPLES = ROOT / "sample_configs"
 FILES = sorted(SAMPLES.glob("*.toml"))
 REPEATED = {
-    "urban.toml": {
+    "prc_2019_urban.toml": {
         "prc.environment",
         "prc.lines_per_block",
         "prc.support.zeta_s",
@@ -29,7 +29,7 @@ REPEATED = {
         "prc.surfaces.area",
         "prc.surfaces.gamma",
     },
-    "forest.toml": {"prc.surfaces.gamma"},
+    "prc_2019_forest.toml": {"prc.surfaces.gamma"},
     "kitti_frame.toml": {"method"},
 }
 """Defaults that a sample repeats.

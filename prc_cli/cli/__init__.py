@@ -112,11 +112,10 @@ class LazyGroup(click.Group):
         """Name the nearest command when one is unknown."""
         name = args[0] if args else ""
         if name and name not in COMMANDS and not name.startswith("-"):
-            import difflib
+            from prc_cli.core.near import did_you_mean
 
-            near = difflib.get_close_matches(name, COMMANDS, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            ctx.fail(f"there is no command {name!r}{hint}")
+            hint = did_you_mean(name, COMMANDS)
+            ctx.fail(f"there is no command {name!r}" + (f"; {hint}" if hint else ""))
         return super().resolve_command(ctx, args)
 
 

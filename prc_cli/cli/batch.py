@@ -17,6 +17,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from prc_cli.cli.options import (
+    Word,
     add_options,
     complete_mapping,
     layers_from,
@@ -143,7 +144,7 @@ _WORK = [
     ),
     _option(
         "--engine",
-        type=click.Choice(["local", "dask"]),
+        type=Word(["local", "dask"]),
         default="local",
         show_default=True,
         help="Use this machine or a Dask cluster.",
@@ -269,7 +270,7 @@ def batch(**options: Any) -> None:
 
     \b
     Examples:
-      prc batch /archive /classified --preset urban
+      prc batch /archive /classified
       prc batch /archive /classified --config archive.toml --jobs 4 --dry-run
       prc batch /archive /classified --drive 'drive_*_??.laz'
       prc batch /archive /classified --config archive.toml -q --log-json /var/log/prc.jsonl

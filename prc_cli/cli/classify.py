@@ -13,6 +13,7 @@ import click
 from prc_cli.cli.next_step import after_classify
 from prc_cli.cli.options import (
     Sectioned,
+    Word,
     config_from,
     output_options,
     stream_options,
@@ -55,7 +56,7 @@ FEW_SHOTS = 100
 )
 @click.option(
     "--engine",
-    type=click.Choice(ENGINES),
+    type=Word(ENGINES),
     default="compiled",
     show_default=True,
     help="reference: the methods of the papers in plain NumPy and SciPy. Slow, one thread, "
@@ -95,10 +96,9 @@ def classify(
     \b
     Examples:
       prc classify drive.laz drive_classified.laz
-      prc classify drive.laz drive_classified.laz --preset urban
-      prc classify drive.bin labels.npy --preset urban -M 2154
+      prc classify drive.bin labels.npy -M 2154
       prc classify drive_01.laz drive_02.laz drive_03.laz classified/
-      prc classify plot.laz out.laz --preset forest --range trajectory:plot.csv \\
+      prc classify plot.laz out.laz --preset fused-forest --range trajectory:plot.csv \\
         --lines time:97 --columns time:414190
     """
     if segment_ids:

@@ -20,7 +20,7 @@ def config() -> None:
     """Show, check or describe the configuration.
 
     \b
-    Example: prc config show --preset forest > forest.toml
+    Example: prc config show --preset fused-forest > prc_2019_forest.toml
     """
 
 
@@ -32,7 +32,7 @@ def show(bare: bool, as_json: bool, **options: Any) -> None:
     """Print the effective configuration as TOML, ready to use as a configuration file.
 
     \b
-    Example: prc config show --preset urban --set prc.support.zeta_p=0.1
+    Example: prc config show --method prc --set prc.support.zeta_p=0.1
     """
     loaded = config_from(options)
     if as_json:

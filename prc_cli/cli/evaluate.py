@@ -17,6 +17,7 @@ from prc_cli.cli.options import (
     POSES,
     QUIET_FORM,
     Sectioned,
+    Word,
     add_options,
     complete_mapping,
     form_of,
@@ -128,7 +129,7 @@ _OPTIONS = [
     ),
     click.option(
         "--unmatched",
-        type=click.Choice(["leave", "noise"]),
+        type=Word(["leave", "noise"]),
         default=DEFAULTS.unmatched,
         show_default=True,
         help="For nearest: do not score predicted shots without partner, "

@@ -10,6 +10,7 @@ import click
 
 from prc_cli.cli.options import (
     Sectioned,
+    Word,
     config_from,
     output_options,
     stream_options,
@@ -37,7 +38,7 @@ from prc_cli.jobs.objects import COLUMNS, KINDS, ScanObject, find_objects, plain
     "--kind",
     "kinds",
     multiple=True,
-    type=click.Choice(KINDS),
+    type=Word(KINDS),
     help="List only this kind. Can be repeated.",
 )
 @stream_options

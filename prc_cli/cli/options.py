@@ -10,7 +10,6 @@ One table gives the flags, the sections of the help, the keys and the next steps
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -20,10 +19,11 @@ from typing import Any, NamedTuple, TypeVar, get_args
 import click
 
 from prc_cli.cli.paths import READ, READ_TEXT
-from prc_cli.config import PRESETS, LoadedConfig, load_config, parse_assignment
+from prc_cli.config import PRESETS, RENAMED_PRESETS, LoadedConfig, load_config, parse_assignment
 from prc_cli.core.config import merge, or_sample, read_toml
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.findings import CHECK_NAMES
+from prc_cli.core.near import did_you_mean, same_name
 from prc_cli.methods.methods import METHODS
 
 
@@ -89,19 +89,45 @@ def _toml_files(incomplete: str) -> list[str]:
 CommandT = TypeVar("CommandT", bound=Callable[..., Any])
 
 
-class CheckName(click.Choice):  # type: ignore[type-arg]  # not generic before click 8.2
-    """Name of a check; an unknown name gets a short message, not the list of all names."""
+class Word(click.Choice):  # type: ignore[type-arg]  # not generic before click 8.2
+    """One of some words, in any case, with - or _; a misspelt word gets the nearest one."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the word as it is spelt in the list."""
+        word = same_name(value, self.choices)
+        if word is None:
+            hint = did_you_mean(value, self.choices) or self.all_words()
+            self.fail(f"found {value!r}; {hint}", param, ctx)
+        return super().convert(word, param, ctx)
+
+    def all_words(self) -> str:
+        """Return what to choose from, for the message."""
+        return f"choose one of: {', '.join(self.choices)}"
+
+
+class CheckName(Word):
+    """Name of a check; a message does not list all of them."""
 
     def __init__(self) -> None:
         super().__init__(CHECK_NAMES)
 
+    def all_words(self) -> str:
+        """Return what lists the checks."""
+        return "prc info FILE --checks lists them"
+
+
+class PresetName(Word):
+    """Name of a preset; a name before 2.0 is still known, and a note gives the new one."""
+
+    def __init__(self) -> None:
+        super().__init__(list(PRESETS))
+
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the name if it is known."""
-        if value not in CHECK_NAMES:
-            near = difflib.get_close_matches(value, CHECK_NAMES, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else "prc info FILE --checks lists them"
-            self.fail(f"there is no check {value!r}; {hint}", param, ctx)
-        return super().convert(value, param, ctx)
+        """Return the name of today."""
+        renamed = RENAMED_PRESETS.get(value)
+        if renamed is not None:
+            click.echo(f"note: preset {value} is now called {renamed}", err=True)
+        return super().convert(renamed or value, param, ctx)
 
 
 class SharedOption(NamedTuple):
@@ -136,7 +162,7 @@ SHARED = (
         "Method",
         "--method",
         key="method",
-        type=click.Choice(METHODS),
+        type=Word(METHODS),
         help="Classifier. Default: the method of the preset or of the configuration, "
         "else prc chooses one.",
     ),
@@ -144,9 +170,10 @@ SHARED = (
         "method",
         "Method",
         "--preset",
-        type=click.Choice(list(PRESETS)),
-        help="Parameters. urban, forest: PRC. street-scan: sequential-angle, for static scans. "
-        "fused, fused-forest: both combined. rings: spinning scanners. Default: prc chooses one.",
+        type=PresetName(),
+        help="Parameters. fused, fused-forest: our method for profilers. rings: spinning scanners. "
+        "prc-2019-urban, prc-2019-forest: PRC as published. street-scan: sequential-angle, for "
+        "static scans. Default: prc chooses one.",
     ),
     _option(
         "input",
@@ -398,7 +425,7 @@ def form_options(*forms: str) -> list[Callable[[Any], Any]]:
         click.option(
             "--format",
             "form",
-            type=click.Choice(forms),
+            type=Word(forms),
             help="Format of the result.  [default: table]",
         ),
         click.option("--json", "as_json_flag", is_flag=True, help="Short for --format json."),

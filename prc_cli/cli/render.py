@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import Sectioned, complete_mapping, config_from, stream_options
+from prc_cli.cli.options import Sectioned, Word, complete_mapping, config_from, stream_options
 from prc_cli.cli.output import print_json, print_line
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, ScanPath
 from prc_cli.cli.report import line_progress
@@ -58,13 +58,13 @@ from prc_cli.jobs.render import render as render_file
 )
 @click.option(
     "--view",
-    type=click.Choice(VIEWS),
+    type=Word(VIEWS),
     default="scan",
     show_default=True,
     help="Draw lines and columns, or the points from above.",
 )
 @click.option("--hide", metavar="CLASS,...", help="Do not draw these classes, e.g. noise.")
-@click.option("--colour", type=click.Choice(COLOURS), help="Colours of the points.")
+@click.option("--colour", type=Word(COLOURS), help="Colours of the points.")
 @click.option(
     "--width",
     type=click.IntRange(200, 20_000),
@@ -106,9 +106,9 @@ def render(
 
     \b
     Examples:
-      prc render drive.laz drive.png --preset urban
+      prc render drive.laz drive.png
       prc render out.laz --html out.html
-      prc render drive.laz figure1.png --preset urban --figure1
+      prc render drive.laz figure1.png --preset prc-2019-urban --figure1
       prc render drive.laz differences.png --labels out.laz --reference car.laz \\
         --steps classes,reference,difference
       prc render out.laz cloud.png --view top

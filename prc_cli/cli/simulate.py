@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import add_options, output_options, table_from
+from prc_cli.cli.options import Word, add_options, output_options, table_from
 from prc_cli.cli.output import console, print_json, print_line, print_text, results, table_of
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN
 from prc_cli.cli.report import compiling_note, line_progress, print_notices
@@ -36,7 +36,7 @@ _FOREST = [
     _option("--stems", type=WRITTEN, metavar="FILE.csv", help="Also write a list of the trees."),
     _option(
         "--reference",
-        type=click.Choice(["truth", "cylinders"]),
+        type=Word(["truth", "cylinders"]),
         default="truth",
         show_default=True,
         help="truth: the object that was hit. cylinders: stems by cylinders, ground by height, "
@@ -148,10 +148,10 @@ def _presets(kind: Kind) -> list[Any]:
     return [
         _option(
             "--scanner",
-            type=click.Choice(scanners),
+            type=Word(scanners),
             help="Model of the scanner: prc simulate scanners lists them.",
         ),
-        _option("--scene", type=click.Choice(list(SCENES[kind])), help=_SCENE_HELP[kind]),
+        _option("--scene", type=Word(list(SCENES[kind])), help=_SCENE_HELP[kind]),
     ]
 
 
@@ -256,7 +256,7 @@ def scanners(as_json: bool) -> None:
 
 
 @simulate.command()
-@click.argument("kind", type=click.Choice(KINDS))
+@click.argument("kind", type=Word(KINDS))
 @click.option("--config", "config_file", type=READ, metavar="FILE.toml", help="Parameters.")
 @click.option(
     "--set",

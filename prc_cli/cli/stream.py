@@ -57,7 +57,7 @@ def stream(
 
     \b
     Examples:
-      scanner | prc stream --preset urban -M 2154 > labels.bin
+      scanner | prc stream -M 2154 > labels.bin
       cat drive.bin | prc stream --layout profiler.toml | logger
     """
     _check_pipes()

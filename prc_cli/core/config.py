@@ -6,7 +6,6 @@ mappings are sample configurations, in the folder of :func:`samples_folder`.
 
 from __future__ import annotations
 
-import difflib
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -18,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from prc_cli.core.brief import LONGEST
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import read_small
+from prc_cli.core.near import nearest
 
 
 class Params(BaseModel):
@@ -166,13 +166,20 @@ def _translate(error: ValidationError, model: type[Params], where: str) -> Confi
 
 def _nearest_hint(model: type[BaseModel], location: list[str]) -> str:
     known = sorted(_keys_at(model, location[:-1]))
-    near = difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
-    if near:
-        return f"did you mean {near[0]!r}?"
     # the key may belong to another table
-    elsewhere = [key for key in _dotted_keys(model) if key.rpartition(".")[2] == location[-1]]
+    keys = list(_dotted_keys(model))
+    elsewhere = [key for key in keys if key.endswith("." + ".".join(location))]
+    elsewhere = elsewhere or [key for key in keys if key.rpartition(".")[2] == location[-1]]
+    near = nearest(location[-1], known, cutoff=0.5)
+    if near is not None and not elsewhere:
+        # dotted, as it is typed
+        return f"did you mean {'.'.join([*location[:-1], near])!r}?"
     if elsewhere:
         return f"did you mean {' or '.join(repr(key) for key in elsewhere[:3])}?"
+    if len(location) == 1 and (
+        far := nearest(location[0], [key.rpartition(".")[2] for key in keys])
+    ):
+        return f"did you mean {next(key for key in keys if key.endswith(f'.{far}'))!r}?"
     return f"known keys here: {', '.join(known)}"
 
 

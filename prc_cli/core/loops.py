@@ -83,7 +83,7 @@ class Loop(Generic[_P, _T]):
         if not self._plain:
             method, module = self.module.removesuffix("_loops").split(".")[-2:]
             problem = f"{method} is written as compiled loops alone ({module}.{self.name})"
-            hint = "use --preset urban, forest or street-scan, or leave out --engine"
+            hint = "use --method prc or sequential-angle, or leave out --engine"
             raise ConfigError("engine", f"found reference, but {problem}", hint)
         reference: Callable[_P, _T] = getattr(import_module(self._plain), self.name)
         return reference

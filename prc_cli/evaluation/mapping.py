@@ -19,6 +19,7 @@ from pydantic import Field, StringConstraints, field_validator, model_validator
 from prc_cli.core.classes import NO_CODE
 from prc_cli.core.config import Params, build, read_toml, samples_folder
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.near import did_you_mean, same_name
 from prc_cli.core.types import I64
 
 Side: TypeAlias = Literal["predicted", "reference"]
@@ -294,16 +295,17 @@ def load_mapping(source: str | Path) -> ClassMapping:
     """Load a class mapping by preset name, or from a TOML file."""
     name = str(source)
     known = preset_names()
-    if name in known:
+    preset = same_name(name, known)
+    if preset is not None:
         return build(
             ClassMapping,
-            read_toml(samples_folder() / "classes" / f"{name}.toml"),
-            f"class mapping {name}",
+            read_toml(samples_folder() / "classes" / f"{preset}.toml"),
+            f"class mapping {preset}",
         )
     if Path(name).suffix != ".toml":
         problem = f"found {name!r}, expected a .toml file or one of: {', '.join(known)}"
         where = "class mapping"
-        raise ConfigError(where, problem)
+        raise ConfigError(where, problem, did_you_mean(name, known))
     return build(ClassMapping, read_toml(Path(name)), name)
 
 

@@ -63,12 +63,14 @@ def choice_by_request(config: RunConfig, *, engine: Engine = "compiled") -> Meth
     """Return the choice if the options allow only one method; None = the input decides.
 
     >>> choice_by_request(RunConfig(output={"segment_ids": True})).preset
-    'urban'
+    'prc-2019-urban'
     """
     if config.output.segment_ids:
-        return MethodChoice("urban", "only PRC has segment ids")
+        return MethodChoice("prc-2019-urban", "only PRC has segment ids")
     if engine == "reference":
-        return MethodChoice("urban", "--engine reference has only the methods of the papers")
+        return MethodChoice(
+            "prc-2019-urban", "--engine reference has only the methods of the papers"
+        )
     return None
 
 
@@ -134,19 +136,21 @@ def _choose(stream: Stream, config: RunConfig) -> tuple[MethodChoice, Stream]:
     facts = stream.info.facts
     with closing_items(stream.first_blocks()) as blocks:
         if next(blocks, None) is None:
-            return MethodChoice("urban", "the input has no lines"), stream
+            return MethodChoice("prc-2019-urban", "the input has no lines"), stream
     directed = with_beams(stream, config.input)
     beams = () if directed.beams is None else directed.beams.values()
     if any(scanner_beams.is_made_up for scanner_beams in beams):
         # a later line with two returns is refused
         for _ in directed.blocks():
             pass
-        return MethodChoice("urban", "no line has two returns"), stream
+        return MethodChoice("prc-2019-urban", "no line has two returns"), stream
     cosine = min((scanner_beams.cos_tilt for scanner_beams in beams), default=1.0)
     if cosine < LEAST_COSINE:
         lean = f"the scan plane seems to lean by {math.degrees(math.acos(cosine)):.0f} deg"
         lacks = f"{lean}, too much for fused"
-        return MethodChoice("urban", lacks, lacks, "look at the unit of the ranges"), stream
+        return MethodChoice(
+            "prc-2019-urban", lacks, lacks, "look at the unit of the ranges"
+        ), stream
     if facts.scanners or facts.has_scans or config.input.scanner != "none":
         _read_all_scanners(directed, facts.scanners)
     with closing_items(directed.first_blocks()) as blocks:
@@ -182,7 +186,7 @@ def _choice_after(refusal: InputError | ConfigError, scanners: Sequence[str]) ->
         if others:
             topic = scanner.partition(" (")[0]
             give += f", and --topic {topic}; or try the others: --topic {others}"
-    return MethodChoice("urban", f"{lacks}; {_BETTER}", lacks, give)
+    return MethodChoice("prc-2019-urban", f"{lacks}; {_BETTER}", lacks, give)
 
 
 def decide_stream(
@@ -230,7 +234,7 @@ def decide_and_open(
             inputs = trusting(scan.records(), inputs)
         stream = open_input(scan, inputs)
     except (InputError, ConfigError) as refusal:
-        return decided_by(MethodChoice("urban", refusal.problem), loaded), None
+        return decided_by(MethodChoice("prc-2019-urban", refusal.problem), loaded), None
     choice, stream = choose(stream, config)
     decided = decided_by(choice, loaded)
     return decided, stream if decided.config.needs_beams else None

@@ -63,7 +63,13 @@ PARTS: dict[str, Part] = {
     # the same drive, for the comparison: the steps of one block, as the paper's Fig. 1 shows them
     # (Lehtola et al. 2019)
     "published": Part(
-        "street", "urban", "urban", "prc", RenderOptions(figure1=True), {}, scan_of="drive"
+        "street",
+        "urban",
+        "prc-2019-urban",
+        "prc",
+        RenderOptions(figure1=True),
+        {},
+        scan_of="drive",
     ),
     # every third line, and as close along the line as curbs need
     "static": Part(

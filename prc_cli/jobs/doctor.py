@@ -56,8 +56,8 @@ LINES = 200
 LEAST_SCORE = 0.9
 """Limit of the recall of ground and the precision of building in that run (0.99 and 0.97)."""
 COMPARED: Mapping[str, tuple[Kind, Mapping[str, Any]]] = {
-    "urban": ("street", {"seed": 1, "lines": 120, "scanner": {"points_per_line": 250}}),
-    "forest": (
+    "prc-2019-urban": ("street", {"seed": 1, "lines": 120, "scanner": {"points_per_line": 250}}),
+    "prc-2019-forest": (
         "forest",
         {"seed": 2, "lines": 120, "sight_m": 20.0, "scanner": {"points_per_line": 400}},
     ),
@@ -636,7 +636,7 @@ def _end_to_end() -> Iterator[Check]:
     from prc_cli.simulation.settings import load_settings
 
     start = time.perf_counter()
-    config = load_config(preset="urban", options={"input": {"order": "trust"}})
+    config = load_config(preset="prc-2019-urban", options={"input": {"order": "trust"}})
     load_simulator()
     load_classifier(config)
     loaded = time.perf_counter()

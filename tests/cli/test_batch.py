@@ -137,7 +137,7 @@ def test_nothing_to_do_is_one_line_or_none_and_the_reference_is_compared_anyway(
     archive = office[0]
     out = tmp_path / "out"
     shutil.copytree(office[1], out)
-    options = (archive, out, "--preset", "urban", "--exclude", "bad.laz")
+    options = (archive, out, "--preset", "prc-2019-urban", "--exclude", "bad.laz")
     result = prc(*options)
     assert (result.code, result.out) == (0, "")
     nothing, trusted = result.err.splitlines()
@@ -428,7 +428,7 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
     )
     options += "--accept-doubt standing "
     options += (
-        "--preset forest --set prc.surfaces.gamma=1 -M 99 --reference ref --match time "
+        "--preset prc-2019-forest --set prc.surfaces.gamma=1 -M 99 --reference ref --match time "
         "--fail-under recall.stem=.1"
     )
     assert prc("a", "o", *options.split()).code in (0, 3)
@@ -538,14 +538,14 @@ def test_an_output_that_was_edited_shows_when_it_is_read(prc: Run, tmp_path: Pat
     out = tmp_path / "out"
     archive.mkdir()
     write_npz(archive / "a.npz", street(80))
-    assert prc(archive, out, "--preset", "urban", "--jobs", "1").code in (0, 4)
+    assert prc(archive, out, "--preset", "prc-2019-urban", "--jobs", "1").code in (0, 4)
     output = out / "a.npz.labels.npy"
     before = output.stat()
     content = bytearray(output.read_bytes())
     content[-1] ^= 1
     output.write_bytes(content)
     os.utime(output, ns=(before.st_atime_ns, before.st_mtime_ns))
-    trusting = prc(archive, out, "--preset", "urban")
+    trusting = prc(archive, out, "--preset", "prc-2019-urban")
     assert "by size and time only; --verify compares their content" in trusting.err
     assert prc("status", out).code == 0
     result = prc("status", out, "--verify")
@@ -553,5 +553,5 @@ def test_an_output_that_was_edited_shows_when_it_is_read(prc: Run, tmp_path: Pat
     assert "damaged  a.npz.labels.npy: its content has changed" in result.out
     states = json.loads(prc("status", out, "--verify", "--json").out)["verified"]
     assert [item["state"] for item in states] == ["damaged"]
-    assert "by size and time" not in prc(archive, out, "--preset", "urban", "--verify").err
+    assert "by size and time" not in prc(archive, out, "--preset", "prc-2019-urban", "--verify").err
     assert prc("status", out, "--verify").code == 0, "a run that reads the outputs does it again"

@@ -393,7 +393,7 @@ def test_class_and_rule_are_those_of_classify(folder: Path, name: str, preset: s
         json.dumps(explanation.as_dict())
 
 
-URBAN = ("--preset", "urban")
+URBAN = ("--preset", "prc-2019-urban")
 
 
 def run(*arguments: object) -> int:

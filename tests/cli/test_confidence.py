@@ -89,7 +89,7 @@ def test_thin_drops_what_is_not_sure(prc: Prc, folder: Path) -> None:
     np.testing.assert_array_equal(~np.isnan(np.load(folder / "way.npz")["range_m"]).ravel(), kept)
     for options, expected_words in (
         (("--labels", folder / "truth.npy"), "output.confidence=true"),
-        (("--preset", "urban"), "expected fused"),
+        (("--preset", "prc-2019-urban"), "expected fused"),
     ):
         refused = prc("thin", folder / "scan.npz", folder / "no.npz", *options, *least)
         assert (refused.code, expected_words in refused.err) == (2, True)
@@ -147,7 +147,7 @@ def test_render_draws_it(prc: Prc, folder: Path) -> None:
 
 
 def test_other_methods_refuse_in_one_line(prc: Prc, folder: Path) -> None:
-    for preset in ("urban", "street-scan"):
+    for preset in ("prc-2019-urban", "street-scan"):
         options = ("--preset", preset, *SET[2:])
         result = prc("classify", folder / "scan.npz", folder / "no.csv", *options)
         assert (result.code, result.err.count("\n")) == (2, 1)

@@ -134,7 +134,7 @@ def test_a_batch_chooses_for_every_file_and_resumes(prc: Prc, scans: Path) -> No
     before = {path: path.stat().st_mtime_ns for path in (scans / "out").rglob("*.npy")}
     assert prc(*options).code == 0
     # another method is another configuration
-    assert prc(*options, "--preset", "urban").code == 0
+    assert prc(*options, "--preset", "prc-2019-urban").code == 0
     assert {path: path.stat().st_mtime_ns for path in (scans / "out").rglob("*.npy")} != before
 
 
@@ -155,9 +155,11 @@ def test_tables_and_presets_decide() -> None:
     assert not RunConfig().is_decided
     assert RunConfig.model_validate({"sequential_angle": {}}).method == "sequential-angle"
     assert RunConfig.model_validate({"method": "auto", "prc": {}}).method == "auto"
-    assert load_config(preset="forest").config.method == "prc"
+    assert load_config(preset="prc-2019-forest").config.method == "prc"
     file = ("a.toml", {"method": "auto", "sequential_angle": {}})
-    assert from_layers([("preset urban", preset_table("urban")), file]).config.method == "prc"
+    assert (
+        from_layers([("preset prc-2019-urban", preset_table("urban")), file]).config.method == "prc"
+    )
     assert from_layers([file]).config.method == "auto"
     assert from_layers([("a.toml", {"prc": {}})]).sources["method"] == "the table [prc]"
     with pytest.raises(ConfigError, match=r"the tables \[prc\] and \[fused\] and no method"):
@@ -221,7 +223,7 @@ def test_python_has_the_defaults_of_the_commands(prc: Prc, scans: Path) -> None:
         matrix,
         run.record,
         load_config(),
-        load_config(preset="forest").config,
+        load_config(preset="prc-2019-forest").config,
         classified,
     ):
         assert (repr(config).count("\n"), len(repr(config)) < 300) == (0, True)

@@ -44,7 +44,11 @@ def test_this_installation_is_sound_from_end_to_end(
     assert code == 0, report
     assert report["counts"]["bad"] == 0
     assert by_name["end to end"]["details"]["scores"]["recall.ground"] > 0.95
-    assert by_name["engines"]["details"]["different"] == {"urban": 0, "forest": 0, "street-scan": 0}
+    assert by_name["engines"]["details"]["different"] == {
+        "prc-2019-urban": 0,
+        "prc-2019-forest": 0,
+        "street-scan": 0,
+    }
     assert by_name["LAZ"]["status"] == "ok"
     # the folder is asked about, not made, and nothing stays in the one that is there
     assert list(tmp_path.iterdir()) == []
@@ -154,8 +158,8 @@ def test_compiled_loops_that_give_other_labels_are_bad(monkeypatch: pytest.Monke
         )
 
     monkeypatch.setattr("prc_cli.jobs.classify.classify_ranges", wrong)
-    monkeypatch.setattr(doctor, "COMPARED", {"forest": doctor.COMPARED["forest"]})
+    monkeypatch.setattr(doctor, "COMPARED", {"prc-2019-forest": doctor.COMPARED["prc-2019-forest"]})
     (check,) = doctor._engines()
-    assert (check.status, check.details["different"]) == ("bad", {"forest": 48_000})
-    assert "labels differ (forest 48,000), expected the same" in check.text
+    assert (check.status, check.details["different"]) == ("bad", {"prc-2019-forest": 48_000})
+    assert "labels differ (prc-2019-forest 48,000), expected the same" in check.text
     assert "prc classify --engine reference" in check.hint

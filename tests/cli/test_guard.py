@@ -22,7 +22,7 @@ from tests.patience import HANGS_S
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the guard is for Linux")
 ROOT = Path(__file__).resolve().parents[2]
-URBAN = ("--preset", "urban", "--trust-order")
+URBAN = ("--preset", "prc-2019-urban", "--trust-order")
 
 CRASH = """
 import os, signal, sys
@@ -155,7 +155,7 @@ def test_signals_reach_the_work_once(number: signal.Signals, to_all: bool) -> No
     To the process that was started, or to all of its group.
     """
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "prc_cli", "stream", "-M", "40", "--preset", "urban"]
+    command = [sys.executable, "-m", "prc_cli", "stream", "-M", "40", "--preset", "prc-2019-urban"]
     with patience.start(
         command,
         stdin=subprocess.PIPE,
@@ -257,7 +257,7 @@ def test_a_page_that_says_two_gigabytes_is_one_line(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_work_ends_with_its_guard() -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "prc_cli", "stream", "-M", "40", "--preset", "urban"]
+    command = [sys.executable, "-m", "prc_cli", "stream", "-M", "40", "--preset", "prc-2019-urban"]
     with patience.start(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
     ) as process:

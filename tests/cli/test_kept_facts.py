@@ -144,7 +144,9 @@ def test_points_of_static_scans_keep_their_place(prc: Prc, tmp_path: Path) -> No
         points, rotation=turn, shift=(6540, 4500, 120)
     )
     (tmp_path / "two.ptx").write_text(text)
-    result = prc("classify", tmp_path / "two.ptx", tmp_path / "two.las", "-q", "--preset", "urban")
+    result = prc(
+        "classify", tmp_path / "two.ptx", tmp_path / "two.las", "-q", "--preset", "prc-2019-urban"
+    )
     assert result.code in (0, 4), result.err
     written = laspy.read(tmp_path / "two.las")
     first = np.array([6500, 4500, 120])

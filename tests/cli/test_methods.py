@@ -195,9 +195,9 @@ def test_a_scan_of_nothing_does_no_harm_to_the_others(
             "--preset street-scan is for --method sequential-angle",
         ),
         (
-            ("--preset", "urban", "--method", "sequential-angle"),
+            ("--preset", "prc-2019-urban", "--method", "sequential-angle"),
             2,
-            "--preset urban is for --method prc",
+            "--preset prc-2019-urban is for --method prc",
         ),
         (
             ("--preset", "street-scan", "--set", "sequential_angle.curb.min_lines=201"),

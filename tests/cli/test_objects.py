@@ -89,7 +89,14 @@ def test_classes_that_are_there_are_taken_or_it_says_why_not(prc: Prc, forest: P
     )
     assert {row["kind"] for row in rows(result.out)} == {"stem"}
     assert (
-        prc("classify", forest / "walk.laz", forest / "urban.laz", "--preset", "urban", "-q").code
+        prc(
+            "classify",
+            forest / "walk.laz",
+            forest / "urban.laz",
+            "--preset",
+            "prc-2019-urban",
+            "-q",
+        ).code
         == 0
     )
     result = prc("objects", forest / "urban.laz")
@@ -126,7 +133,7 @@ def test_refusals_are_one_line(prc: Prc, tmp_path: Path) -> None:
     street_lines(150)[0].tofile(tmp_path / "s.bin")
     m = ("-M", len(BEAM))
     for arguments, words in (
-        ((*m, "--preset", "urban"), "which tells none of: stem, pole, car, curb"),
+        ((*m, "--preset", "prc-2019-urban"), "which tells none of: stem, pole, car, curb"),
         (("-M", 10, "--preset", "fused"), "no vertical direction known"),
         (
             (*m, "--preset", "fused", "-o", tmp_path / "o.txt"),

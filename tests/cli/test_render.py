@@ -131,7 +131,7 @@ def test_refusals_are_one_line_each(prc: Prc, drive: Path, tmp_path: Path) -> No
         ),
         ("organised/pumpA.e57", ["--preset", "street-scan"]),
         ("organised/pumpA.e57", ["--view", "top", "--colour", "range"]),
-        ("forest/tls_park.npz", ["--preset", "forest", "--only-lines", "0:255"]),
+        ("forest/tls_park.npz", ["--preset", "prc-2019-forest", "--only-lines", "0:255"]),
         ("las/als_strip_labelled.laz", ["--view", "top"]),
     ],
 )

@@ -20,7 +20,14 @@ from tests.messages import folded
 from tests.patience import HANGS_S
 from tests.street import POINTS_PER_LINE, street
 
-URBAN = ("--preset", "urban", "-M", str(POINTS_PER_LINE), "--set", "prc.lines_per_block=16")
+URBAN = (
+    "--preset",
+    "prc-2019-urban",
+    "-M",
+    str(POINTS_PER_LINE),
+    "--set",
+    "prc.lines_per_block=16",
+)
 
 
 def start(*arguments: str) -> subprocess.Popen[bytes]:
@@ -121,7 +128,7 @@ def test_a_block_leaves_when_two_more_lines_are_there_and_a_signal_ends_the_stre
 def test_doubts_are_told_and_end_with_exit_code_4() -> None:
     thin = np.full((137, 18_000), np.nan, np.float32)
     thin[:, :POINTS_PER_LINE] = street()
-    options = ("--preset", "urban", "-M", "18000", "--set", "prc.lines_per_block=16")
+    options = ("--preset", "prc-2019-urban", "-M", "18000", "--set", "prc.lines_per_block=16")
     code, out, err = run(thin.tobytes(), *options, "-q")
     assert (code, len(out)) == (4, thin.size)
     assert err.startswith("warning: returns: ")

@@ -34,7 +34,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-URBAN = ("--preset", "urban", "-q", "--overwrite")
+URBAN = ("--preset", "prc-2019-urban", "-q", "--overwrite")
 
 
 @pytest.mark.slow
@@ -128,7 +128,7 @@ def test_convert_writes_the_window(prc: Prc, folder: Path) -> None:
             ).code
             == 0
         )
-        blocks = list(open_stream(folder / name, load_config(preset="urban")).blocks())
+        blocks = list(open_stream(folder / name, load_config(preset="prc-2019-urban")).blocks())
         ranges = np.concatenate([block.range_m for block in blocks])
         assert np.array_equal(ranges, np.load(folder / "d.npz")["range_m"][20:30], equal_nan=True)
 
@@ -139,7 +139,9 @@ def test_commands_that_take_files_whole_refuse(
 ) -> None:
     source = folder / command[1]
     output = folder / ("out.png" if command[0] == "render" else "out.laz")
-    result = prc(command[0], source, output, "--preset", "urban", "--set", "input.first=2s")
+    result = prc(
+        command[0], source, output, "--preset", "prc-2019-urban", "--set", "input.first=2s"
+    )
     assert result.code == 2
     assert "found --first 2s, but prc" in result.err
 

@@ -15,19 +15,19 @@ from prc_cli.core.errors import ConfigError
 
 def test_layers_override_each_other_and_name_their_source(tmp_path: Path) -> None:
     path = tmp_path / "run.toml"
-    path.write_text('preset = "forest"\n[prc.support]\nzeta_p = 0.2\n')
+    path.write_text('preset = "prc-2019-forest"\n[prc.support]\nzeta_p = 0.2\n')
     loaded = load_config(path, options={"prc": {"surfaces": {"gamma": 5}}})
     assert loaded.config.prc.support.zeta_p == 0.2
     assert loaded.config.prc.support.zeta_s == 0.01
     assert loaded.config.prc.surfaces.gamma == 5
     assert loaded.sources["prc.support.zeta_p"] == str(path)
-    assert loaded.sources["prc.support.zeta_s"] == "preset forest"
+    assert loaded.sources["prc.support.zeta_s"] == "preset prc-2019-forest"
     assert loaded.sources["prc.surfaces.gamma"] == "option"
     assert "prc.background.alpha" not in loaded.sources
 
 
 def test_the_presets_hold_the_published_values() -> None:
-    urban = load_config(preset="urban").config.prc
+    urban = load_config(preset="prc-2019-urban").config.prc
     assert (urban.lines_per_block, urban.support.zeta_s, urban.support.zeta_p) == (99, 1.0, 1.0)
     assert (urban.surfaces.area, urban.surfaces.gamma, urban.environment) == (30.0, 2, "urban")
     assert (urban.background.alpha, urban.background.d_c, urban.background.form) == (
@@ -37,7 +37,7 @@ def test_the_presets_hold_the_published_values() -> None:
     )
     assert urban.support.rho_c == 1 / 3
     assert urban.components.min_votes == 3
-    forest = load_config(preset="forest").config.prc
+    forest = load_config(preset="prc-2019-forest").config.prc
     assert (forest.lines_per_block, forest.support.zeta_s, forest.support.zeta_p) == (
         255,
         0.01,
@@ -49,13 +49,13 @@ def test_the_presets_hold_the_published_values() -> None:
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({"prc": {"suport": {}}}, "--set prc.suport: unknown key; did you mean 'support'?"),
+        ({"prc": {"suport": {}}}, "--set prc.suport: unknown key; did you mean 'prc.support'?"),
         ({"zeta_s": 1.0}, "--set zeta_s: unknown key; did you mean 'prc.support.zeta_s'?"),
         (
             {"prc": {"support": {"zeta_q": 1.0}}},
-            "--set prc.support.zeta_q: unknown key; did you mean 'zeta_",
+            "--set prc.support.zeta_q: unknown key; did you mean 'prc.support.zeta_",
         ),
-        ({"input": {"point_per_line": 3}}, "did you mean 'points_per_line'?"),
+        ({"input": {"point_per_line": 3}}, "did you mean 'input.points_per_line'?"),
         ({"prc": {"background": {"alpha": 0.7}}}, "prc.background.alpha: found 0.7, expected:"),
         ({"prc": {"surfaces": {"area": -3}}}, "prc.surfaces.area"),
         ({"input": {"lines": "sometimes"}}, "input.lines"),

@@ -111,18 +111,18 @@ def check_order(traced_calls: list[tuple[str, list[str]]], out: Path) -> set[str
     ("words", "outputs"),
     [
         (
-            ("classify", "{seeds}/pf6.laz", "{out}/o.laz", "--preset", "urban", "-q"),
+            ("classify", "{seeds}/pf6.laz", "{out}/o.laz", "--preset", "prc-2019-urban", "-q"),
             ("o.laz", "o.laz.prc.json"),
         ),
         *(
             pytest.param((*words, "-q"), outputs, marks=pytest.mark.long)
             for words, outputs in (
                 (
-                    ("classify", "{seeds}/a.npz", "{out}/o.npy", "--preset", "urban"),
+                    ("classify", "{seeds}/a.npz", "{out}/o.npy", "--preset", "prc-2019-urban"),
                     ("o.npy", "o.npy.prc.json"),
                 ),
                 (
-                    ("classify", "{seeds}/a.csv", "{out}/o.parquet", "--preset", "urban"),
+                    ("classify", "{seeds}/a.csv", "{out}/o.parquet", "--preset", "prc-2019-urban"),
                     ("o.parquet",),
                 ),
                 (("convert", "{seeds}/a.csv", "{out}/o.las", "--trust-order"), ("o.las",)),

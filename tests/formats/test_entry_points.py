@@ -168,11 +168,18 @@ def test_it_is_classified_alone_and_in_a_batch_and_evaluated(
 ) -> None:
     labels = tmp_path / "drive.toylabels"
     archive = tmp_path / "out"
-    run(installed, "classify", drive, labels, "--preset", "urban")
-    run(installed, "classify", drive, tmp_path / "drive.npy", "--preset", "urban")
+    run(installed, "classify", drive, labels, "--preset", "prc-2019-urban")
+    run(installed, "classify", drive, tmp_path / "drive.npy", "--preset", "prc-2019-urban")
     run(installed, "convert", drive, tmp_path / "same.npz")
-    run(installed, "classify", tmp_path / "same.npz", tmp_path / "same.npy", "--preset", "urban")
-    options = ("--preset", "urban", "--jobs", "2", "--to", "toylabels")
+    run(
+        installed,
+        "classify",
+        tmp_path / "same.npz",
+        tmp_path / "same.npy",
+        "--preset",
+        "prc-2019-urban",
+    )
+    options = ("--preset", "prc-2019-urban", "--jobs", "2", "--to", "toylabels")
     run(installed, "batch", drive.parent, archive, *options)
     codes = np.load(tmp_path / "drive.npy")
     assert set(np.unique(codes)) > {2}

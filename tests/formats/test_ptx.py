@@ -289,7 +289,7 @@ def test_a_shot_without_return_that_meets_another_is_no_return(
     empty = int(np.flatnonzero(count == 0)[60])
     theta[empty] = theta[empty - 1]
     theta.tofile(tmp_path / "p" / "pulse-float32-theta.bin")
-    for command in (["convert"], ["classify", "--preset", "urban"]):
+    for command in (["convert"], ["classify", "--preset", "prc-2019-urban"]):
         output = tmp_path / f"{command[0]}.laz"
         assert Prc(capsys)(*command, path, output).code in (0, 4)  # 4: such echoes are no street
         points = laspy.read(output)

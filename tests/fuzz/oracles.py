@@ -18,7 +18,7 @@ from prc_cli.formats.input import Input
 from prc_cli.jobs.classify import label_blocks
 from prc_cli.streams.open import open_input
 
-BLOCKS = ("--preset", "urban", "--trust-order", "--set", "prc.lines_per_block=2")
+BLOCKS = ("--preset", "prc-2019-urban", "--trust-order", "--set", "prc.lines_per_block=2")
 """Blocks of two lines are labelled on their own, so labels far from a damage can be told."""
 _OPTIONS = {"input": {"order": "trust"}, "prc": {"lines_per_block": 2}}
 Classify = Callable[[str, str], Any]
@@ -27,7 +27,7 @@ Classify = Callable[[str, str], Any]
 
 @lru_cache(maxsize=1)
 def _config() -> LoadedConfig:
-    return load_config(preset="urban", options=_OPTIONS)
+    return load_config(preset="prc-2019-urban", options=_OPTIONS)
 
 
 def read_las(path: Path) -> tuple[Any, BaseException | None]:

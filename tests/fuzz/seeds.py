@@ -49,7 +49,7 @@ unit = "m"
 """
 
 CONFIG = """\
-preset = "urban"
+preset = "prc-2019-urban"
 method = "prc"
 
 [input]
@@ -423,7 +423,7 @@ def _record() -> bytes:
         source = Path(folder) / "a.npy"
         output = Path(folder) / "o.npy"
         source.write_bytes(_npy(ranges()))
-        classify(source, output, load_config(preset="urban"), threads=1)
+        classify(source, output, load_config(preset="prc-2019-urban"), threads=1)
         return output.with_name("o.npy.prc.json").read_bytes()
 
 
@@ -455,7 +455,17 @@ def _state() -> dict[str, bytes]:
             "version": "0.1.0",
             "token": "0" * 32,
         }
-        typed = ["pulses", "out", "--preset", "urban", "--jobs", "1", "-q", "--include", "*.bin"]
+        typed = [
+            "pulses",
+            "out",
+            "--preset",
+            "prc-2019-urban",
+            "--jobs",
+            "1",
+            "-q",
+            "--include",
+            "*.bin",
+        ]
         command = {"schema": 2, "folder": "/", "arguments": typed}
         return {
             ".prc/journal.sqlite": (folder / "journal.sqlite").read_bytes(),

@@ -29,7 +29,7 @@ INPUTS = {
 """Seeds of archive files, by target."""
 
 _SMALL = ("--width", "300")
-_P = ("--preset", "urban", "--trust-order")
+_P = ("--preset", "prc-2019-urban", "--trust-order")
 LABELLED = ("classify", "{case}", "{out}/o.npy", *BLOCKS)
 """The command whose labels are compared with those of other ways."""
 _UPRIGHT = (
@@ -128,7 +128,7 @@ READ: tuple[tuple[str, ...], ...] = (
     ("thin", "{case}", "{out}/o.npz", "--keep", "ground=1/4", *_P),
     ("render", "{case}", "{out}/o.png", *_P, *_SMALL),
     ("render", "{case}", "{out}/o.png", *_P, *_SMALL, "--view", "top", "--range", "sensor-xyz"),
-    ("calibrate", "{case}", "-o", "{out}/o.toml", "--trust-order", "--preset", "urban"),
+    ("calibrate", "{case}", "-o", "{out}/o.toml", "--trust-order", "--preset", "prc-2019-urban"),
 )
 
 LAS = (
@@ -304,7 +304,7 @@ TARGETS: dict[str, Target] = {
     "stream": Target(
         ("a.bin", "f4.bin", "a.npz"),
         (
-            ("stream", "-M", "24", "--preset", "urban", "-v"),
+            ("stream", "-M", "24", "--preset", "prc-2019-urban", "-v"),
             ("stream", "--layout", "{seeds}/layout.toml", "--json"),
             ("stream", "-M", "24", "--method", "sequential-angle"),
             ("stream", "-M", "24", "--method", "sequential-angle"),

@@ -22,7 +22,7 @@ from tests.fuzz.guard import unprintable
 from tests.fuzz.seeds import las_vlrs, seed
 from tests.messages import folded
 
-URBAN = ("--preset", "urban", "--trust-order")
+URBAN = ("--preset", "prc-2019-urban", "--trust-order")
 
 
 def put(path: Path, content: bytes | str) -> Path:
@@ -78,7 +78,7 @@ def test_names_of_files_command_no_terminal(
 ) -> None:
     source = put(tmp_path / f"{name}.npz", seed("a.npz"))
     labels = tmp_path / f"{name}.npy"
-    config = put(tmp_path / f"{name}.toml", "preset = 'urban'\n")
+    config = put(tmp_path / f"{name}.toml", "preset = 'prc-2019-urban'\n")
     for command in (
         ("info", "-v", source, "--trust-order"),
         ("classify", "-v", source, labels, *URBAN),

@@ -13,7 +13,14 @@ EXIT_CODE_ONLY = ("doctor",)
 ONE_LINE_A_FILE = 60
 """Cases of more files keep one hash for all of them."""
 
-PRESETS = ("urban", "forest", "fused", "fused-forest", "street-scan", "street-scan-published")
+PRESETS = (
+    "prc-2019-urban",
+    "prc-2019-forest",
+    "fused",
+    "fused-forest",
+    "street-scan",
+    "street-scan-published",
+)
 CSV = "../made/drive.csv"
 LAS = "../made/f6.las"
 BARE = "../made/bare6.laz"
@@ -97,16 +104,17 @@ def _tables() -> Iterator[tuple[str, str]]:
     for words in COMMANDS:
         yield f"help-{words.replace(' ', '-')}", f"{words} --help"
     for preset in PRESETS:
+        name = preset.removeprefix("prc-2019-")
         yield (
-            f"config-{preset}",
+            f"config-{name}",
             f"config show --preset {preset} ; config show --preset {preset} --json",
         )
-        yield f"street-{preset}", f"classify ../sim-street-laz/s.laz o.laz --preset {preset} -v"
-        yield f"sick-{preset}", f"classify ../sim-sick/k.csv o.csv --preset {preset} --segment-ids"
+        yield f"street-{name}", f"classify ../sim-street-laz/s.laz o.laz --preset {preset} -v"
+        yield f"sick-{name}", f"classify ../sim-sick/k.csv o.csv --preset {preset} --segment-ids"
         # a street is nothing but noise to the preset of forests
-        accepted = " --accept-doubt noise-share" if preset == "forest" else ""
+        accepted = " --accept-doubt noise-share" if name == "forest" else ""
         classified = f"classify {LAS} o.laz --preset {preset} --json{accepted}"
-        yield f"las-{preset}", f"{classified} ; info {LAS} --preset {preset}"
+        yield f"las-{name}", f"{classified} ; info {LAS} --preset {preset}"
     for form in range(11):
         source = f"../made/f{form}.las"
         # formats below 6 hold half of the angle in a byte: where it is the ground that tells down,
@@ -120,7 +128,8 @@ def _tables() -> Iterator[tuple[str, str]]:
         fused = f"classify {source} o.laz --preset fused{down}"
         yield (
             f"format-{form}",
-            f"classify {source} o.las --preset forest --accept-doubt noise-share ; {fused}",
+            f"classify {source} o.las --preset prc-2019-forest --accept-doubt noise-share ; "
+            f"{fused}",
         )
         yield (
             f"format-{form}-copy",
@@ -145,7 +154,7 @@ def _tables() -> Iterator[tuple[str, str]]:
     for suffix in ("npz", "las", "laz", "csv", "csv.gz", "parquet", "npy"):
         yield (
             f"labels-{suffix}",
-            f"classify ../sim-forest/f.npz o.{suffix} --preset forest --segment-ids -q",
+            f"classify ../sim-forest/f.npz o.{suffix} --preset prc-2019-forest --segment-ids -q",
         )
     for key, value in (
         *(("background.form", form) for form in ("literal", "abs", "guard")),
@@ -165,7 +174,8 @@ def _tables() -> Iterator[tuple[str, str]]:
     for key in ("column_step=3", "density=0.1", "noise_in_ground_columns=false"):
         yield (
             f"prc-forest-{key}",
-            f"classify ../sim-forest/f.npz o.npy -q --preset forest --set prc.forest.{key}",
+            "classify ../sim-forest/f.npz o.npy -q --preset prc-2019-forest "
+            f"--set prc.forest.{key}",
         )
 
 

@@ -53,4 +53,4 @@ def test_threads_of_readers_end_with_the_choice(tmp_path: Path, fails: bool) -> 
     assert threading.active_count() <= before + (not fails)
     chosen.first.forget()
     assert threading.active_count() == before
-    assert choice.preset == ("urban" if fails else "fused")
+    assert choice.preset == ("prc-2019-urban" if fails else "fused")

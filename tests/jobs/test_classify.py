@@ -94,7 +94,7 @@ def test_an_image_in_memory_is_judged_as_a_file_is() -> None:
     with pytest.warns(
         prc_cli.DoubtWarning, match="range_m: returns: .*input.accept_doubts = ..returns"
     ) as warned:
-        prc_cli.classify_ranges(thin, load_config(preset="urban"))
+        prc_cli.classify_ranges(thin, load_config(preset="prc-2019-urban"))
     assert warned[0].filename == __file__
     for odd in (thin, shuffled):
         accepting = load_config(options={"input": {"accept_doubts": CHECK_NAMES}})
@@ -117,8 +117,8 @@ def test_what_is_unusual_about_a_file_is_told_and_recorded(tmp_path: Path) -> No
 
 LINES = slice(50, 90)
 SIMULATED = {
-    "urban": "street --lines 60 --set scanner.points_per_line=200",
-    "forest": "forest --lines 60 --set scanner.points_per_line=300 --set sight_m=20",
+    "prc-2019-urban": "street --lines 60 --set scanner.points_per_line=200",
+    "prc-2019-forest": "forest --lines 60 --set scanner.points_per_line=300 --set sight_m=20",
     "street-scan": "street-scan --seed 3 --set scanner.points_per_line=80 --set "
     "scanner.azimuth_step_deg=4 "
     "--set station.turn_deg=70",
@@ -156,7 +156,9 @@ def by_both(source: Path, suffix: str, *options: str) -> tuple[Path, Path]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("preset", ["urban", "forest", "street-scan", "street-scan-published"])
+@pytest.mark.parametrize(
+    "preset", ["prc-2019-urban", "prc-2019-forest", "street-scan", "street-scan-published"]
+)
 def test_both_engines_give_the_same_labels_and_segments(tmp_path: Path, preset: str) -> None:
     source = tmp_path / "scan.npz"
     assert prc("simulate", *SIMULATED[preset.removesuffix("-published")].split(), source, "-q") == 0
@@ -180,7 +182,7 @@ def test_the_record_names_the_reference_alone(tmp_path: Path) -> None:
     source = write_npz(tmp_path / "drive.npz", piece())
     compiled, plain = (
         json.loads(record_path(path).read_text())
-        for path in by_both(source, ".npy", "--preset", "urban")
+        for path in by_both(source, ".npy", "--preset", "prc-2019-urban")
     )
     assert plain.pop("engine") == "reference"
     assert plain == compiled
@@ -223,6 +225,6 @@ def test_without_numba_the_reference_classifies(tmp_path: Path) -> None:
     assert not (tmp_path / "compiled.npy").exists()
     for name in ("npz", "csv", "laz"):
         expected = classify(
-            made[name], tmp_path / f"{name}.expected.npy", load_config(preset="urban")
+            made[name], tmp_path / f"{name}.expected.npy", load_config(preset="prc-2019-urban")
         ).output
         assert (tmp_path / f"{name}.out.npy").read_bytes() == expected.read_bytes()

@@ -22,8 +22,10 @@ from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz,
 
 CUTS = (0, 40 * POINTS_PER_LINE + 77, 41 * POINTS_PER_LINE, N_LINES * POINTS_PER_LINE)
 """Files end within a line, and after less than a line."""
-URBAN = load_config(preset="urban")
-WITH_M = load_config(preset="urban", options={"input": {"points_per_line": POINTS_PER_LINE}})
+URBAN = load_config(preset="prc-2019-urban")
+WITH_M = load_config(
+    preset="prc-2019-urban", options={"input": {"points_per_line": POINTS_PER_LINE}}
+)
 
 
 def cut_raw(tmp_path: Path) -> tuple[Path, list[Path]]:
@@ -115,7 +117,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="two inputs have this output"):
         list(classify_drive([parts[0], parts[0]], tmp_path / "out", WITH_M))
     with pytest.raises(ConfigError, match="needs a single file"):
-        window = load_config(preset="urban", options={"input": {"only_lines": "0:9"}})
+        window = load_config(preset="prc-2019-urban", options={"input": {"only_lines": "0:9"}})
         list(classify_drive(parts, tmp_path / "out", window))
     list(classify_drive(parts, tmp_path / "out", WITH_M))
     with pytest.raises(OutputExistsError, match="exists already"):

@@ -50,7 +50,7 @@ def audit() -> None:
 def count_openings(source: Path, output: Path) -> int:
     _watched.add(str(source))
     try:
-        classify(source, output, load_config(preset="urban", options=WITH_M), threads=1)
+        classify(source, output, load_config(preset="prc-2019-urban", options=WITH_M), threads=1)
     finally:
         _watched.clear()
     return _openings[str(source)]

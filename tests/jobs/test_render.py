@@ -33,7 +33,7 @@ from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz
 
 @pytest.fixture(scope="module")
 def urban() -> LoadedConfig:
-    return load_config(preset="urban")
+    return load_config(preset="prc-2019-urban")
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +127,7 @@ def test_returns_that_are_not_scored_are_not_drawn_as_missing(
 
 def test_the_headline_names_the_scanner_of_several(tmp_path: Path) -> None:
     source = two_scanners(tmp_path / "two.las")
-    read = config(preset="urban", scanner="point_source_id")
+    read = config(preset="prc-2019-urban", scanner="point_source_id")
     for number, station in enumerate((None, 8)):
         picture = render(source, tmp_path / f"{number}.png", read, RenderOptions(station=station))
         assert f"scanner {station or 3} of 2" in picture.drawn, picture.drawn
@@ -223,7 +223,7 @@ def read(path: Path) -> str:
 
 def test_classes_and_ranges_of_a_drive(tmp_path: Path) -> None:
     source = write_npz(tmp_path / "drive.npz", street())
-    config = load_config(preset="urban")
+    config = load_config(preset="prc-2019-urban")
     result = render_viewer(source, tmp_path / "a.html", config)
     about, planes = decoded(read(tmp_path / "a.html"))
     classify(source, tmp_path / "labels.npy", config)
@@ -236,7 +236,7 @@ def test_classes_and_ranges_of_a_drive(tmp_path: Path) -> None:
     assert result.counts is not None
     assert {entry["name"]: entry["place"] for entry in about["classes"]}["ground"] == Label.GROUND
     assert (result.lines, result.thinned_by) == ((0, N_LINES), (1, 1))
-    assert "preset urban · all" in result.drawn
+    assert "preset prc-2019-urban · all" in result.drawn
     # a result beside its input is shown, not made again
     options = RenderOptions(labels=tmp_path / "labels.npy")
     render_viewer(source, tmp_path / "b.html", config, options)

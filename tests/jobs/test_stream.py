@@ -25,7 +25,7 @@ from prc_cli.streams.stream import Stream
 from tests.street import POINTS_PER_LINE, street
 
 URBAN = load_config(
-    preset="urban",
+    preset="prc-2019-urban",
     options={"input": {"points_per_line": POINTS_PER_LINE}, "prc": {"lines_per_block": 16}},
 )
 
@@ -106,7 +106,7 @@ def test_doubts_are_told_once_and_kept() -> None:
     doubts: list[Finding] = []
     for accepts in ((), ("returns",)):
         options = {"input": {"points_per_line": 18_000, "accept_doubts": list(accepts)}}
-        config = load_config(preset="urban", options=options)
+        config = load_config(preset="prc-2019-urban", options=options)
         summary = stream(io.BytesIO(thin.tobytes()), io.BytesIO(), config, doubted=doubts.append)
         assert [doubt.check for doubt in summary.doubts] == ([] if accepts else ["returns"])
         assert [finding.check for finding in summary.findings if finding.is_accepted] == list(
@@ -127,7 +127,9 @@ def test_labels_are_checked_as_they_leave() -> None:
     }
     sink = io.BytesIO()
     with pytest.raises(EvidenceError, match="of the returns are noise"):
-        stream(io.BytesIO(stray.tobytes()), sink, load_config(preset="urban", options=options))
+        stream(
+            io.BytesIO(stray.tobytes()), sink, load_config(preset="prc-2019-urban", options=options)
+        )
     assert 1024 * POINTS_PER_LINE <= len(sink.getvalue()) < stray.size
 
 

@@ -411,8 +411,8 @@ def test_oakland_as_raw_text_and_as_shuffled_tiles(
     from prc_cli import classify
     from prc_cli.config import load_config
 
-    classify(raw, tmp_path / "labels.npy", load_config(preset="urban"))
-    classify(raw, tmp_path / "labels.las", load_config(preset="urban"))
+    classify(raw, tmp_path / "labels.npy", load_config(preset="prc-2019-urban"))
+    classify(raw, tmp_path / "labels.las", load_config(preset="prc-2019-urban"))
     labels = np.load(tmp_path / "labels.npy")
     rng = RNG(0)
     left = np.flatnonzero(np.isfinite(rows[:, 3]) & (rng.random(len(rows)) < 0.8))

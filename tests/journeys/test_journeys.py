@@ -146,7 +146,7 @@ def test_6_the_tables_of_the_paper_against_car(prc: Shell) -> None:
     car = laspy.read(prc.here / "registered.laz")
     car.points = car.points[np.argsort(car.x)]
     car.write(prc.here / "car.laz")
-    prc("prc classify drive.npz raw.laz -q --preset urban")
+    prc("prc classify drive.npz raw.laz -q --preset prc-2019-urban")
     prc("prc transfer raw.laz car.laz labelled.laz -q")
     said = prc("prc evaluate labelled.laz car.laz --mapping lehtola_urban --json -q")
     table = json.loads(said.out)
@@ -159,13 +159,16 @@ def test_6_the_tables_of_the_paper_against_car(prc: Shell) -> None:
 @pytest.mark.data
 def test_7_a_bag_of_two_scanners_to_frames_of_points(prc: Shell, real_data: Path) -> None:
     shutil.copy(real_data / "cartographer/b0_short.bag", prc.here)
-    prc("prc thin b0_short.bag frames.ply -q --topic vertical_laser_2d --preset urban --drop noise")
+    prc(
+        "prc thin b0_short.bag frames.ply -q --topic vertical_laser_2d "
+        "--preset prc-2019-urban --drop noise"
+    )
     xyz, _ = points_of(prc.here / "frames.ply")
     assert len(xyz) > 100_000
     assert not np.isnan(xyz).any()
 
 
-@pytest.mark.parametrize("preset", ["", "--preset urban", "--preset forest"])
+@pytest.mark.parametrize("preset", ["", "--preset prc-2019-urban", "--preset prc-2019-forest"])
 def test_8_a_live_stream_has_the_labels_of_the_file(prc: Shell, preset: str) -> None:
     prc(f"prc classify drive.bin labels.npy -q -M {M} {preset}")
     with (prc.here / "drive.bin").open("rb") as drive, (prc.here / "live.bin").open("wb") as live:
@@ -177,7 +180,11 @@ def test_8_a_live_stream_has_the_labels_of_the_file(prc: Shell, preset: str) -> 
 
 @pytest.mark.parametrize(
     ("preset", "drive", "lines"),
-    [("urban", "drive", 40), ("forest", "forest", 40), ("street-scan", "scan", 6)],
+    [
+        ("prc-2019-urban", "drive", 40),
+        ("prc-2019-forest", "forest", 40),
+        ("street-scan", "scan", 6),
+    ],
 )
 def test_9_the_papers_in_plain_numpy_have_the_same_labels(
     prc: Shell,
@@ -217,11 +224,11 @@ def test_10_what_explain_says_is_what_the_loop_did(prc: Shell) -> None:
 @pytest.mark.parametrize(
     ("drive", "preset", "name", "least"),
     [
-        ("drive", "urban", "ground", 0.6),
+        ("drive", "prc-2019-urban", "ground", 0.6),
         ("drive", "fused", "ground", 0.98),
         ("scan", "street-scan", "horizontal", 0.95),
         ("scan", "street-scan-published", "horizontal", 0.6),
-        ("forest", "forest", "ground", 0.6),
+        ("forest", "prc-2019-forest", "ground", 0.6),
         ("forest", "fused-forest", "ground", 0.9),
     ],
 )

@@ -245,7 +245,7 @@ from prc_cli.jobs.classify import classify_ranges
 
 ranges = 20 + np.random.default_rng(1).normal(0, 0.005, (24, 90))
 ranges[5:9, 30:60] = 7.0
-for preset in ("urban", "forest", "street-scan"):
+for preset in ("prc-2019-urban", "prc-2019-forest", "street-scan"):
     config = load_config(preset=preset, options={"prc": {"lines_per_block": 7}}).config
     beams = np.linspace(0.5, 2.2, 90)
     print(classify_ranges(ranges, config, beam_rad=beams, threads=2,

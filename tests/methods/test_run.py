@@ -200,8 +200,8 @@ def test_every_reason_has_a_sentence_and_limits_that_exist() -> None:
 
 
 SCANS: list[tuple[Kind, dict[str, object], tuple[str, ...]]] = [
-    ("street", {"lines": 500, "seed": 41}, ("fused", "urban", "street-scan")),
-    ("forest", {"lines": 120, "sight_m": 30.0, "seed": 42}, ("fused-forest", "forest")),
+    ("street", {"lines": 500, "seed": 41}, ("fused", "prc-2019-urban", "street-scan")),
+    ("forest", {"lines": 120, "sight_m": 30.0, "seed": 42}, ("fused-forest", "prc-2019-forest")),
 ]
 
 

@@ -15,7 +15,7 @@ from prc_cli.config import (
     RunConfig,
     from_folder,
     from_layers,
-    preset_table,
+    preset_layer,
     refuse_window,
 )
 from prc_cli.core.config import read_toml
@@ -98,7 +98,7 @@ class BatchConfig:
             layers: list[tuple[str, Mapping[str, Any]]] = []
             files = sources.files
             if preset is not None:
-                layers.append((f"preset {preset}", preset_table(preset)))
+                layers.append(preset_layer(preset))
             if sources.path is not None:
                 layers.append((self._where, self._table))
                 files = (sources.path, *files)

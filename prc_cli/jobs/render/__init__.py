@@ -112,7 +112,7 @@ def _decided(scan: Input, config: LoadedConfig, options: RenderOptions) -> Loade
     steps = set(options.steps or ())
     of_prc = options.figure1 or steps & set(PRC_STEPS)
     if of_prc or options.labels is not None or (steps and not steps - NOT_LABELLED):
-        return decided_by(MethodChoice("urban", "its steps are asked for"), config)
+        return decided_by(MethodChoice("prc-2019-urban", "its steps are asked for"), config)
     return decide(scan, config)
 
 

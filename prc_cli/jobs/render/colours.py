@@ -344,8 +344,10 @@ def made_with(loaded: LoadedConfig) -> str:
     """Return the preset, or else the method, that classifies a file.
 
     >>> from prc_cli.config import load_config
-    >>> made_with(load_config(preset="forest")), made_with(load_config(options={"method": "prc"}))
-    ('preset forest', 'prc, urban')
+    >>> made_with(load_config(preset="prc-2019-forest"))
+    'preset prc-2019-forest'
+    >>> made_with(load_config(options={"method": "prc"}))
+    'prc, urban'
     """
     preset = preset_of(loaded)
     config = loaded.config

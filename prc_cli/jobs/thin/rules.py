@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.classes import NO_CODE, ClassCodes, Label
 from prc_cli.core.errors import ConfigError
+from prc_cli.core.near import did_you_mean
 from prc_cli.core.stream import ExtraReturns
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats.writing.base import StreamItem
@@ -157,11 +157,8 @@ def _codes(name: str, option: str, table: ClassCodes) -> tuple[int, ...]:
         return (names[name.lower()],)
     if name.isdecimal() and int(name) < 2**31:
         return (int(name),)
-    near = difflib.get_close_matches(name.lower(), names, n=1, cutoff=0.4)
-    hint = f"known classes: {', '.join(names)}, or a class code"
-    if near:
-        hint = f"did you mean {near[0]!r}?"
-    raise ConfigError(option, f"unknown class {name!r}", hint)
+    known = f"known classes: {', '.join(names)}, or a class code"
+    raise ConfigError(option, f"unknown class {name!r}", did_you_mean(name, names) or known)
 
 
 _GOLDEN = 0.618

@@ -268,7 +268,14 @@ def test_the_command_and_a_folder_as_input(tmp_path: Path) -> None:
     )
     out = out_folder(tmp_path)
     for name in ("labels.npy", "drive.db3"):
-        arguments = ["classify", str(folder), str(out / name), "--preset", "urban", "--quiet"]
+        arguments = [
+            "classify",
+            str(folder),
+            str(out / name),
+            "--preset",
+            "prc-2019-urban",
+            "--quiet",
+        ]
         result = runner().invoke(cli, arguments)
         assert result.exit_code in (0, 4), result.stderr
     np.testing.assert_array_equal(np.load(out / "labels.npy"), read_codes(out / "drive.db3"))
@@ -300,7 +307,7 @@ def test_an_output_is_compressed_as_the_input_is(tmp_path: Path, suffix: str, pa
         made.write_mcap(source, made.lasers(2), packed or "none")
     else:
         made.write_db3(source, made.lasers(2), packed=packed == "zstd")
-    classify(source, output, load_config(preset="urban"))
+    classify(source, output, load_config(preset="prc-2019-urban"))
     assert Bag(source).packed == packed
     assert Bag(output).packed == ("zstd" if packed and suffix != ".bag" else packed)
     assert len(read_codes(output)) == made.N_LINES * made.M
@@ -318,7 +325,7 @@ def test_a_recording_in_several_files_is_one_stream(tmp_path: Path) -> None:
     (folder / "metadata.yaml").write_text(
         f"rosbag2_bagfile_information:\n  relative_file_paths:\n{listed}"
     )
-    config = load_config(preset="urban")
+    config = load_config(preset="prc-2019-urban")
     classify(whole, tmp_path / "whole.npy", config)
     classify(folder, tmp_path / "split.npy", config)
     assert np.array_equal(np.load(tmp_path / "whole.npy"), np.load(tmp_path / "split.npy"))

@@ -309,7 +309,14 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ]
     assert run([*options, "--seed", "5"]) == 0
     assert run(
-        ["classify", str(folder / "s.npz"), str(folder / "s.npy"), "--preset", "urban", "-q"]
+        [
+            "classify",
+            str(folder / "s.npz"),
+            str(folder / "s.npy"),
+            "--preset",
+            "prc-2019-urban",
+            "-q",
+        ]
     ) in (0, 4)
     return folder
 
@@ -323,7 +330,9 @@ def test_a_drive_read_back_has_the_same_labels(drive: Path, tmp_path: Path, suff
         for source in (drive / "s.npz", path)
     )
     np.testing.assert_array_equal(first.range_m, again.range_m)
-    assert run(["classify", str(path), str(tmp_path / "l.npy"), "--preset", "urban", "-q"]) in (
+    assert run(
+        ["classify", str(path), str(tmp_path / "l.npy"), "--preset", "prc-2019-urban", "-q"]
+    ) in (
         0,
         4,
     )
@@ -359,13 +368,15 @@ def test_a_cloud_keeps_its_properties(
     )
     source.write_bytes(data)
     out = tmp_path / "o.ply"
-    assert run(["classify", str(source), str(out), "--preset", "urban", "-q"]) in (0, 4)
+    assert run(["classify", str(source), str(out), "--preset", "prc-2019-urban", "-q"]) in (0, 4)
     vertex = plyfile.PlyData.read(str(out))
     names = [prop.name for prop in vertex["vertex"].properties]
     assert names == ["range", "quality", "scan_line", "column", "class"]
     np.testing.assert_array_equal(vertex["vertex"]["quality"], made["quality"])
     np.testing.assert_array_equal(vertex["vertex"]["scan_line"], line)
-    assert run(["classify", str(out), str(tmp_path / "l.npy"), "--preset", "urban", "-q"]) in (0, 4)
+    assert run(
+        ["classify", str(out), str(tmp_path / "l.npy"), "--preset", "prc-2019-urban", "-q"]
+    ) in (0, 4)
     np.testing.assert_array_equal(np.load(tmp_path / "l.npy"), vertex["vertex"]["class"])
     assert n_lines == 40
 

@@ -154,7 +154,7 @@ def test_ouster_columns_are_destaggered_in_angle_not_in_time(tmp_path: Path, pro
     assert np.ptp(azimuth, axis=1).max() < 0.2
     assert len(block.extra) == (480 if profile.endswith("DUAL") else 0)
     result = runner().invoke(
-        cli, ["classify", str(path), str(tmp_path / "o.npy"), "--preset", "urban"]
+        cli, ["classify", str(path), str(tmp_path / "o.npy"), "--preset", "prc-2019-urban"]
     )
     assert result.exit_code in (0, 4), result.output
     assert stream.info.facts.has_line_times

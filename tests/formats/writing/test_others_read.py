@@ -110,6 +110,6 @@ def test_labels(tmp_path: Path, suffix: str) -> None:
     classify(
         source,
         path,
-        load_config(preset="urban", options={"input": {"accept_doubts": ["shot-order"]}}),
+        load_config(preset="prc-2019-urban", options={"input": {"accept_doubts": ["shot-order"]}}),
     )
     assert 0 < READERS[suffix](path) <= LINES * M

@@ -28,7 +28,9 @@ from tests.jobs.test_drive import CUTS, URBAN, WITH_M, cut_laz, cut_raw
 from tests.runner import runner
 from tests.street import POINTS_PER_LINE
 
-LAYERS = ConfigLayers(preset="urban", options={"input": {"points_per_line": POINTS_PER_LINE}})
+LAYERS = ConfigLayers(
+    preset="prc-2019-urban", options={"input": {"points_per_line": POINTS_PER_LINE}}
+)
 PATTERN = "drive_?.bin"
 
 
@@ -156,7 +158,7 @@ def test_streams_before_a_gap_stay_where_a_later_one_fails(tmp_path: Path) -> No
     settings = BatchSettings(
         tmp_path / "in",
         tmp_path / "out",
-        config=ConfigLayers(preset="urban"),
+        config=ConfigLayers(preset="prc-2019-urban"),
         drives=("drive_?.laz",),
     )
     summary = run_batch(settings, Here())

@@ -142,7 +142,7 @@ def config_file(tmp_path: Path, text: str) -> ConfigLayers:
 
 
 OVERRIDES = """
-preset = "urban"
+preset = "prc-2019-urban"
 [prc.support]
 zeta_p = 0.5
 
@@ -153,7 +153,7 @@ zeta_p = 0.25
 
 [[override]]
 match = ["*.laz", "night/oak.npz"]
-preset = "forest"
+preset = "prc-2019-forest"
 """
 
 
@@ -183,7 +183,7 @@ def test_later_overrides_win_and_presets_lie_below_the_file(tmp_path: Path) -> N
         ("[[override]]\nmatch = []", "match: expected a pattern"),
         ("[[override]]\nmatch = ''", "expected a glob"),
         ("[[override]]\nmatch = '*'\npresett = 'urban'", "override 1: unknown key 'presett'"),
-        ("[[override]]\nmatch = '*'\npreset = 'city'", "expected one of: urban"),
+        ("[[override]]\nmatch = '*'\npreset = 'city'", "expected one of: prc-2019-urban"),
         ("[[override]]\nmatch = 'never'\n[override.prc.support]\nzeta_q = 1", "did you mean"),
         ("input = 3", "input"),
     ],

@@ -365,7 +365,9 @@ def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str) -> None:
     archive.mkdir()
     for name in ("a.npz", "b.npz"):
         write_npz(archive / name, street(80))
-    settings = BatchSettings(archive, out, ConfigLayers(preset="urban"), jobs=1, drift=False)
+    settings = BatchSettings(
+        archive, out, ConfigLayers(preset="prc-2019-urban"), jobs=1, drift=False
+    )
     run_batch(settings, Scripted(work))
     output = out / "a.npz.labels.npy"
     whole = output.read_bytes()

@@ -135,11 +135,13 @@ def settings(tmp_path: Path) -> BatchSettings:
     for name, seed in (("a", 1), ("b", 2)):
         image = street(seed=seed)
         write_npz(tmp_path / "archive" / f"{name}.npz", image)
-        codes = ClassCodes().lookup()[classify_ranges(image, load_config(preset="urban")).labels]
+        codes = ClassCodes().lookup()[
+            classify_ranges(image, load_config(preset="prc-2019-urban")).labels
+        ]
         if name == "b":
             codes[: len(codes) // 2] = np.where(codes[: len(codes) // 2] > 0, 6, 0)
         np.save(tmp_path / "ref" / f"{name}.npy", codes.ravel())
-    layers = ConfigLayers(preset="urban", options={"input": {"accept_doubts": ["method"]}})
+    layers = ConfigLayers(preset="prc-2019-urban", options={"input": {"accept_doubts": ["method"]}})
     reference = ReferenceSettings(tmp_path / "ref", "prc", gates=("accuracy=0.99",))
     return BatchSettings(
         tmp_path / "archive", tmp_path / "out", layers, jobs=1, reference=reference, drift=False

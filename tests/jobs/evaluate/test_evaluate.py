@@ -423,7 +423,7 @@ def oakland(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     folder = tmp_path_factory.mktemp("oakland")
     raw = real_data / "oakland" / "oakland_1.csv.gz"
-    classify(raw, folder / "labels.npy", load_config(preset="urban"))
+    classify(raw, folder / "labels.npy", load_config(preset="prc-2019-urban"))
     with gzip.open(raw) as packed:
         lines = packed.read().decode().splitlines()
     time_s = 3.1e8 + np.arange(len(lines) - 1) * 1.3e-5
@@ -483,7 +483,7 @@ def test_two_scans_are_not_matched_by_cell(tmp_path: Path) -> None:
 
     Labels of a part begin at a line that nobody knows.
     """
-    config = load_config(preset="urban")
+    config = load_config(preset="prc-2019-urban")
     for name, image in (("a", street()), ("b", street(100)), ("c", 1.5 * street(seed=2))):
         np.savez(tmp_path / f"{name}.npz", range_m=image, angle_deg=np.rad2deg(angles()))
         for suffix in (".npy", ".laz"):
@@ -511,7 +511,7 @@ def test_files_of_one_drive_are_matched_by_cell_where_their_numbers_differ(
 ) -> None:
     image = street()
     np.savez(tmp_path / "s.npz", range_m=image, angle_deg=np.rad2deg(angles()))
-    config = load_config(preset="urban")
+    config = load_config(preset="prc-2019-urban")
     cloud = tmp_path / f"s{other}"
     left = tmp_path / f"l{labels}"
     classify(tmp_path / "s.npz", cloud, config)

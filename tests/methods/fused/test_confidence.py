@@ -143,7 +143,7 @@ def test_an_image_has_it() -> None:
     assert classify_ranges(ranges, load_config(preset="fused"), beam_rad=BEAM).confidence is None
 
 
-@pytest.mark.parametrize("preset", ["urban", "street-scan", None])
+@pytest.mark.parametrize("preset", ["prc-2019-urban", "street-scan", None])
 def test_other_methods_refuse_it(tmp_path: Path, preset: str | None) -> None:
     angles = {} if preset is None else {"angle_deg": np.rad2deg(BEAM)}
     few = 12 if preset is None else 1  # columns, too few to measure their angles

@@ -78,7 +78,7 @@ def test_a_leaning_plane_has_true_heights() -> None:
 
 def test_prc_has_none(tmp_path: Path) -> None:
     np.savez(tmp_path / "s.npz", range_m=street_lines(140)[0], angle_deg=np.rad2deg(BEAM))
-    config = load_config(preset="urban", options={"output": {"stages": True}})
+    config = load_config(preset="prc-2019-urban", options={"output": {"stages": True}})
     classify(tmp_path / "s.npz", tmp_path / "o.csv", config)
     heading = (tmp_path / "o.csv").read_text().splitlines()[0]
     assert heading == "record,class,name,critical_zeta_p,critical_zeta_s"

@@ -278,7 +278,7 @@ def test_the_refusal_names_the_options_that_mend_it(
     dump = tmp_path / "scan.bin"
     labels = tmp_path / "labels.npy"
     misread_street().astype(">f4").tofile(dump)
-    command = ["classify", str(dump), str(labels), "--preset", "urban", "-M", str(M)]
+    command = ["classify", str(dump), str(labels), "--preset", "prc-2019-urban", "-M", str(M)]
     assert run(command) == 1
     assert (
         "hint: its bytes are ranges of a scan with --set layout.endian=big; to accept"
