@@ -40,6 +40,7 @@ from prc_cli.evaluation.methods import (
     methods_json,
     methods_markdown,
 )
+from prc_cli.evaluation.places import Places, place_rows, places_csv, places_geojson
 from prc_cli.evaluation.reports import (
     NO_INTERVALS,
     as_csv,
@@ -75,6 +76,11 @@ MAX_PARTS = 40
 """Most parts of a split shown on a terminal."""
 FORMS = {".json": "json", ".csv": "csv", ".md": "markdown", ".html": "html"}
 """Report formats by the suffix of ``--output``."""
+PLACE_FORMS = {".geojson": "places of GeoJSON", ".csv": "places of CSV"}
+PLACE_WRITERS = {"places of GeoJSON": places_geojson, "places of CSV": places_csv}
+"""Forms of the places by the suffix of ``--places``."""
+SHOWN_PLACES = 5
+"""Places shown on a terminal."""
 
 DEFAULTS = EvaluateOptions()
 
@@ -249,6 +255,13 @@ _OPTIONS = [
         metavar="FILE",
         help="Also write the result to FILE: .json, .csv, .md or .html. Can be repeated.",
     ),
+    click.option(
+        "--places",
+        type=WRITTEN,
+        metavar="FILE.geojson|.csv",
+        help="Also write the places where both sides differ, the largest and surest first. The "
+        "HTML page then has the first thirty with a picture.",
+    ),
     click.option("--overwrite", is_flag=True, help="Replace files that exist."),
     click.option(
         "--picture",
@@ -302,22 +315,14 @@ def evaluate(paths: tuple[tuple[str, Path], ...], **options: Any) -> None:
     if not predicted:
         message = "Missing argument 'REFERENCE'."
         raise click.UsageError(message)
-    outputs: tuple[Path, ...] = options["outputs"]
-    for path in outputs:
-        if path.suffix.lower() not in FORMS:
-            problem = f"found the suffix {path.suffix!r}, expected one of: {' '.join(FORMS)}"
-            raise ConfigError(str(path), problem, "choose a name with one of these suffixes")
-    if outputs:
-        pairs = [path for pair in options["pairs"] for path in pair]
-        inputs = tuple(files_of((*(path for _, path in paths), *pairs)))
-        prepare_outputs(*outputs, overwrite=options["overwrite"], inputs=inputs)
+    written = _checked_outputs(paths, options)
     if len(predicted) > 1:
         report = _compare_methods(predicted, reference, options)
     else:
         report = _compare_one(predicted[0][1], reference, options)
-    texts = [report.text(FORMS[path.suffix.lower()]) for path in outputs]
+    texts = [report.text(output_form) for output_form in written.values()]
     with whole_set():
-        for path, text in zip(outputs, texts, strict=True):
+        for path, text in zip(written, texts, strict=True):
             with atomic_output(path, overwrite=options["overwrite"]) as temporary:
                 temporary.write_text(text, encoding="utf-8", newline="\n")
     if form != "table":
@@ -330,6 +335,27 @@ def evaluate(paths: tuple[tuple[str, Path], ...], **options: Any) -> None:
     refuse_failed(report.all_gates)
     if report.has_doubts:
         raise SystemExit(ExitCode.LOOK)
+
+
+def _checked_outputs(
+    paths: Sequence[tuple[str, Path]], options: Mapping[str, Any]
+) -> dict[Path, str]:
+    """Return the form of every file to write; refuse other suffixes, and inputs."""
+    written: dict[Path, str] = {}
+    asked = [("output", path, FORMS) for path in options["outputs"]]
+    if options["places"] is not None:
+        asked.append(("--places", options["places"], PLACE_FORMS))
+    for where, path, forms in asked:
+        if path.suffix.lower() not in forms:
+            problem = f"found the suffix {path.suffix!r}, expected one of: {' '.join(forms)}"
+            where = str(path) if where == "output" else where
+            raise ConfigError(where, problem, "choose a name with one of these suffixes")
+        written[path] = forms[path.suffix.lower()]
+    if written:
+        pairs = [path for pair in options["pairs"] for path in pair]
+        inputs = tuple(files_of((*(path for _, path in paths), *pairs)))
+        prepare_outputs(*written, overwrite=options["overwrite"], inputs=inputs)
+    return written
 
 
 def _compare_one(predicted: Path, reference: Path, options: Mapping[str, Any]) -> _Report:
@@ -381,7 +407,7 @@ def _is_page_wanted(options: Mapping[str, Any]) -> bool:
 def _refuse_for_one(options: Mapping[str, Any]) -> None:
     """Refuse options that compare one prediction with the reference."""
     splits = ("split_range_m", "split_lines", "split_scanner", "split_confidence")
-    flags = {"pairs": "--pair", "third": "--third"}
+    flags = {"pairs": "--pair", "third": "--third", "places": "--places"}
     flags |= {name: f"--by-{name.split('_')[1]}" for name in splits}
     for name, flag in flags.items():
         if options.get(name):
@@ -463,6 +489,8 @@ class _OneReport(_Report):
                 pictures=self.pictures,
                 origin=origin([Path(name) for name in evaluation.predicted]),
             )
+        if form in PLACE_WRITERS and evaluation.places is not None:
+            return PLACE_WRITERS[form](evaluation.places)
         if form == "csv":
             return as_csv(evaluation)
         if form == "json":
@@ -530,6 +558,8 @@ def _how(options: Mapping[str, Any]) -> EvaluateOptions:
         "height": _heights(options["height"]),
         "mount": numbers(options["mount"], "--mount"),
         "window": _window(options),
+        "places": options["places"] is not None,
+        "place_pictures": options["places"] is not None and _is_page_wanted(options),
     }
     return EvaluateOptions(**{**explicit, **read})
 
@@ -656,10 +686,29 @@ def print_evaluation_details(evaluation: Evaluation, gates: Sequence[GateResult]
         print_table("three labellings", *evaluation.three.table())
         for sentence in evaluation.three.sentences():
             results().print(sentence)
+    if evaluation.places is not None:
+        print_places(evaluation.places)
     print_gates(gates)
     results().print(match_line(evaluation.match))
     for note in (*evaluation.match.notes, *doubts(evaluation)):
         results().print(note)
+
+
+def print_places(places: Places) -> None:
+    """Print the first places where both sides differ, on stdout."""
+    rows = []
+    for row in place_rows(places)[:SHOWN_PLACES]:
+        sure = "-" if row["confidence"] is None else f"{row['confidence']:.0f} %"
+        length = "-" if row["length_m"] is None else f"{row['length_m']:.1f} m"
+        at = "-" if row["x"] is None else f"{row['x']:.1f}, {row['y']:.1f}, {row['z']:.1f}"
+        cells = (f"{row['records']:,}", length, sure, at, row["explain"] or "-")
+        rows.append((f"{row['predicted']}, not {row['reference']}", *cells))
+    header = ("predicted, not reference", "records", "length", "confidence", "x, y, z", "why")
+    print_table("places where they differ", header, rows)
+    results().print(
+        f"{len(places.places):,} places have {places.n_listed:,} of {places.n_differ:,} "
+        "records that differ"
+    )
 
 
 def print_gates(gates: Sequence[GateResult]) -> None:

@@ -18,6 +18,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.pages import render_page
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.mapping import OTHER, ClassMapping
+from prc_cli.evaluation.places import Places, place_rows
 from prc_cli.evaluation.reports import (
     NO_INTERVALS,
     NOT_SPLIT,
@@ -217,10 +218,12 @@ def _polygon(x: float, y: float, corners: Sequence[tuple[float, float]]) -> str:
     return f'<polygon points="{" ".join(f"{x + dx:.1f},{y + dy:.1f}" for dx, dy in corners)}"/>'
 
 
-_DEEP = 0.76
+DEEP = 0.76
 """Share of the colour in a cell above which text is white."""
 _LARGEST = 6
 """Rows of the table of the largest differences."""
+_LISTED = 30
+"""Rows of the table of places."""
 _PNG = b"\x89PNG\r\n\x1a\n"
 _AXES = {"range": "range [m]", "lines": "first scan line of the block", "scanner": "scanner"}
 _TITLES = {"f1": "F1", "iou": "IoU", "accuracy": "one against rest"}
@@ -278,6 +281,7 @@ def as_html(
         "doubts": (),
         "splits": (),
         "three": None,
+        "places": None,
     }
     if evaluation is not None:
         values |= _of_evaluation(evaluation, shown)
@@ -329,7 +333,7 @@ def _view(
             main, small = texts if key == "counts" else texts[::-1]
             cells.append(
                 {
-                    "kind": f"{kind} deep" if colour > _DEEP else kind,
+                    "kind": f"{kind} deep" if colour > DEEP else kind,
                     "share": f"{colour:.4f}",
                     "main": main,
                     "small": small,
@@ -361,11 +365,24 @@ def _of_evaluation(evaluation: Evaluation, shown: ConfusionMatrix) -> dict[str, 
         "splits": [_split(split, parts, shown) for split, parts in evaluation.splits.items()],
         "match_line": match_line(match),
         "three": evaluation.three,
+        "places": None if evaluation.places is None else _places(evaluation.places),
         "sides": (
             ("predicted", match.n_predicted, match.n_matched),
             ("reference", match.n_reference, n_reference_matched),
         ),
         "file_pairs": tuple(zip_longest(evaluation.predicted, evaluation.reference, fillvalue="")),
+    }
+
+
+def _places(places: Places) -> dict[str, Any]:
+    """Return the places of the page: rows, each with its picture if there is one."""
+    pictures = [base64.b64encode(content).decode("ascii") for content in places.pictures]
+    rows = place_rows(places)[: len(pictures) or _LISTED]
+    return {
+        "rows": list(zip_longest(rows, pictures)),
+        "n": len(places.places),
+        "n_listed": places.n_listed,
+        "n_differ": places.n_differ,
     }
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from prc_cli.core.brief import Brief
 from prc_cli.core.pages import render_page
-from prc_cli.evaluation.html import class_colour
+from prc_cli.evaluation.html import DEEP, class_colour
 from prc_cli.evaluation.reports import (
     as_csv,
     as_dict,
@@ -192,6 +192,7 @@ def _method_values(methods: ComparedMethods, name: str) -> dict[str, Any]:
         for column_name, count, share in zip(matrix.predicted_names, counts, shares, strict=True):
             colour = 0.0 if math.isnan(share) else share
             kind = "agree" if column_name == row_name else "differ"
+            kind = f"{kind} deep" if colour > DEEP else kind
             cells.append(
                 {"kind": kind, "share": f"{colour:.4f}", "value": share, "count": f"{count:,}"}
             )

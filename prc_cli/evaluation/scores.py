@@ -21,6 +21,7 @@ from prc_cli.core.errors import ConfigError, GateError, InputError
 from prc_cli.core.types import F64, I64, U8
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.mapping import ClassMapping, scored_names
+from prc_cli.evaluation.places import Places
 
 CLASS_SCORES: tuple[str, ...] = ("recall", "precision", "f1", "iou", "accuracy")
 """Scores that every class has, in the order of the reports."""
@@ -386,6 +387,8 @@ class Evaluation(Brief):
     """Counts with a third labelling, if there is one."""
     plan: bytes | None = None
     """PNG picture from above of where predicted and third are right and wrong."""
+    places: Places | None = None
+    """Places where both sides differ, if they were asked for."""
 
 
 STATES = (

@@ -219,7 +219,12 @@ LINE = "line"
 SCANNER = "scanner"
 SECONDS = "seconds"
 CONFIDENCE = "confidence"
-"""What a side may have: range [m], scan line, scanner id, time [s], confidence [per cent].
+COLUMN = "column"
+REASON = "reason"
+"""What a side may have.
+
+Range [m], scan line, scanner id, time [s], confidence [per cent], shot in the line, number of the
+rule that gave the class.
 
 -1 (NaN for ranges and times) = not known. :data:`SAME` is the return number, 0 to 255; 0 = not
 known."""
@@ -234,10 +239,11 @@ _NAMES = {
     SCANNER: SCANNER_NAMES,
     SECONDS: ("time",),
     CONFIDENCE: (CONFIDENCE,),
+    COLUMN: (COLUMN,),
+    REASON: (REASON,),
 }
 _INDEX = ""
 _LINE = "scan_line"
-_COLUMN = "column"
 LONGEST_LINE = 1 << 22
 """A cell is one whole number: its line times this, and its column."""
 _MAX_ID = 1 << 31
@@ -298,7 +304,7 @@ class SideFile:
     @property
     def has_cells(self) -> bool:
         """Whether the records themselves hold their scan line and column."""
-        return self.find((_LINE,)) is not None and self.find((_COLUMN,)) is not None
+        return self.find((_LINE,)) is not None and self.find((COLUMN,)) is not None
 
     @property
     def crs(self) -> str | None:
@@ -378,7 +384,7 @@ class Side:
         key = [] if self.key is None else [KEY]
         optional = [
             name
-            for name in (SAME, RANGE, LINE, SCANNER, SECONDS, CONFIDENCE)
+            for name in (SAME, RANGE, LINE, SCANNER, SECONDS, CONFIDENCE, COLUMN, REASON)
             if all(self._place(file, name) for file in self.files)
         ]
         has_place = all(file.find((axis,)) for file in self.files for axis in AXES)
@@ -450,8 +456,8 @@ class Side:
 
     def _place(self, file: SideFile, name: str) -> tuple[Source | None, str] | None:
         """Return the source of a column and its name there; a source of None = it is counted."""
-        if name == LINE and self.points_per_line is not None:
-            return file.find(_NAMES[LINE]) or (None, _INDEX)
+        if name in (LINE, COLUMN) and self.points_per_line is not None:
+            return file.find(_NAMES[name]) or (None, _INDEX)
         place = file.find(_NAMES.get(name, (name,)))
         by_index = name == RECORD and self.key == KeyRule("dimension", RECORD)
         # points may have been removed from a LAS file since
@@ -496,9 +502,11 @@ class Side:
                     stored = read[place[1]]
                 elif name == LINE and self.points_per_line:
                     stored = index // self.points_per_line
+                elif name == COLUMN and self.points_per_line:
+                    stored = index % self.points_per_line
                 values[name] = self._typed(file, name, stored, row)
             if has_cells:
-                values[KEY] = _cell_keys(values[_LINE], values[_COLUMN])
+                values[KEY] = _cell_keys(values[_LINE], values[COLUMN])
             elif by_cell:
                 values[KEY] = _cell_keys(*np.divmod(index, file.dense_line or 1))
             yield values, index
@@ -514,7 +522,7 @@ class Side:
             if self.key.kind == "cell":  # made of line and column
                 del dimensions[KEY]
             if has_cells:
-                dimensions |= {_LINE: _LINE, _COLUMN: _COLUMN}
+                dimensions |= {_LINE: _LINE, COLUMN: COLUMN}
         if self.key.kind == "place":
             dimensions |= {axis: axis for axis in AXES}
         return dimensions

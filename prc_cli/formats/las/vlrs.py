@@ -195,7 +195,7 @@ def short_crs(crs: str) -> str:
     'UTM 35N (EPSG:32635)'
     """
     name = _NAME.match(crs)
-    code = _code(crs)
+    code = epsg_of(crs)
     text = name.group(1) if name else " ".join(crs.split())[:60]
     return text if code is None or code in text else f"{text} ({code})"
 
@@ -208,8 +208,8 @@ def same_crs(left: str, right: str) -> bool:
     """
     if "".join(left.split()).lower() == "".join(right.split()).lower():
         return True
-    left_code = _code(left)
-    right_code = _code(right)
+    left_code = epsg_of(left)
+    right_code = epsg_of(right)
     if left_code is not None and right_code is not None:
         return left_code == right_code
     try:
@@ -224,7 +224,8 @@ def same_crs(left: str, right: str) -> bool:
     return bool(system.equals(other_system, ignore_axis_order=True))
 
 
-def _code(crs: str) -> str | None:
+def epsg_of(crs: str) -> str | None:
+    """Return the EPSG code of a coordinate system, such as ``EPSG:32635``; None without one."""
     if re.fullmatch(r"EPSG:\d+", crs.strip(), re.IGNORECASE):
         return crs.strip().upper()
     match = _CODE.search(crs)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from prc_cli.evaluation.mapping import ClassMapping, UnlistedError, load_mapping
 from prc_cli.evaluation.scores import Evaluation, MatchReport, ThreeCounts
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.las.read import LasSource
+from prc_cli.formats.writing.disk import scratch_file
 from prc_cli.jobs.coordinates import placed_source
 from prc_cli.jobs.evaluate.counts import (
     SPLITS,
@@ -35,6 +37,12 @@ from prc_cli.jobs.evaluate.options import (
     mapping_of_runs,
     tolerance_of,
 )
+from prc_cli.jobs.evaluate.places import (
+    PLACE_COLUMNS,
+    PREDICTED_COLUMNS,
+    PairFile,
+    listed_places,
+)
 from prc_cli.jobs.evaluate.registered import Registered
 from prc_cli.matching.join import (
     CODE,
@@ -50,7 +58,17 @@ from prc_cli.matching.join import (
 )
 from prc_cli.matching.keys import AXES, KeyRule, MutualKeys
 from prc_cli.matching.pairs import files_of, pair_files, stem_of
-from prc_cli.matching.sides import CONFIDENCE, FILE, LINE, RANGE, ROW, SECONDS, Side, SideFile
+from prc_cli.matching.sides import (
+    COLUMN,
+    CONFIDENCE,
+    FILE,
+    LINE,
+    RANGE,
+    ROW,
+    SECONDS,
+    Side,
+    SideFile,
+)
 
 APART_M = 0.5
 """Ranges of one cell that differ by more are not of one shot [m]."""
@@ -210,6 +228,20 @@ def evaluate_all(
     """
     options = options or EvaluateOptions()
     check_options(options)
+    with ExitStack() as stack:
+        pair_file = None
+        if options.places and options.place_pictures:
+            pair_file = PairFile(stack.enter_context(scratch_file("places")))
+        return _evaluate_all(predicted, reference, mapping, options, pair_file)
+
+
+def _evaluate_all(
+    predicted: Sequence[Path],
+    reference: Sequence[Path],
+    mapping: ClassMapping | str | Path | None,
+    options: EvaluateOptions,
+    pair_file: PairFile | None,
+) -> Evaluation:
     why = ""
     paths = [Path(path) for path in predicted], [Path(path) for path in reference]
     if mapping is None:
@@ -219,7 +251,7 @@ def evaluate_all(
     classes = mapping if isinstance(mapping, ClassMapping) else load_mapping(mapping)
     pools = open_pools(*paths, options)
     parts = {name: GroupedCounts(classes, name) for name in ("all", *asked_parts(options))}
-    counts = Counts(classes, parts)
+    counts = Counts(classes, parts, pair_file=pair_file)
     if options.third is not None:
         third_classes = classes
         if options.third_mapping is not None:
@@ -280,6 +312,14 @@ def evaluate_all(
     label = "" if isinstance(mapping, ClassMapping) else str(mapping)
     three = None if counts.third is None else counts.third.result(str(options.third))
     plan = counts.plan.picture() if three is not None else None
+    places = None
+    if options.places:
+        kept = [
+            place
+            for place in counts.places
+            if counts.folded.get(place.predicted, place.predicted) != place.reference
+        ]
+        places = listed_places(kept, counts.n_differ, names, pools, pair_file, classes)
     return Evaluation(
         tuple(dict.fromkeys(names)),
         tuple(reference_names),
@@ -291,6 +331,7 @@ def evaluate_all(
         method,
         three,
         plan,
+        places,
     )
 
 
@@ -342,6 +383,15 @@ def _with_stored_lines(left: Side, right: Side, counts: Counts) -> tuple[Side, S
     return bare
 
 
+def _with_dense_lines(side: Side, options: EvaluateOptions) -> Side:
+    """Return labels with the M of their run records, if these say that every shot has a label."""
+    lengths = {file.dense_line for file in side.files}
+    is_known = side.points_per_line is not None or LINE in side.dimensions
+    if not options.places or is_known or len(lengths) != 1:
+        return side
+    return replace(side, points_per_line=lengths.pop())
+
+
 def _compare(
     left: Side,
     right: Side,
@@ -353,13 +403,15 @@ def _compare(
 ) -> str:
     """Match one pool of files and count its pairs; return how they were matched."""
     left, right = _with_stored_lines(left, right, counts)
+    left = _with_dense_lines(left, options)
     plan = _plan(left, right, options, by_lines=by_lines)
-    for name in plan.reference:
+    for name in plan.noted:
         counts.note(f"{SPLITS.get(name, name)}: taken from the reference")
     third = None if options.third is None else open_side(options.third, options, left.key)
     on_disk = [False, False]
     registered: Registered | None = None
     while True:
+        counts.restart_pairs()
         counting = Counting(counts, options, plan, first_file, by_lines=by_lines)
         tally = JoinTally()
         if options.match == "nearest":
@@ -458,12 +510,41 @@ def _plan(
     predicted = [name for name in {**columns, **dict.fromkeys(shared)} if name in left_has]
     only_right = [name for name in columns if name not in left_has and name in right_has]
     reference = [*shared, *only_right]
-    if "blocks" in asked or LINE in asked:
+    if "blocks" in asked or LINE in asked or options.places:
         predicted += [FILE, ROW]
+    in_space = False
+    noted = tuple(reference)
+    if options.places:
+        in_space = _add_place_columns(predicted, reference, left, right, options)
     keys: tuple[str, ...] = () if options.match == "order" else (KEY,)
     if options.match in ("time", "cell") and SAME in left_has and SAME in right_has:
         keys = (KEY, SAME)
-    return Plan(tuple(predicted), tuple(reference), keys)
+    return Plan(tuple(predicted), tuple(reference), keys, noted, in_space)
+
+
+def _add_place_columns(
+    predicted: list[str],
+    reference: list[str],
+    left: Side,
+    right: Side,
+    options: EvaluateOptions,
+) -> bool:
+    """Add the columns of places to those read of both sides; return whether places are in space."""
+    left_has = left.dimensions
+    shown = (*PLACE_COLUMNS, RANGE) if options.place_pictures else PLACE_COLUMNS
+    for name in (*shown, *PREDICTED_COLUMNS):
+        if name in left_has and name not in predicted:
+            predicted.append(name)
+    for name in shown:
+        if name not in left_has and name in right.dimensions and name not in reference:
+            reference.append(name)
+    read = {*predicted, *reference}
+    in_space = options.match == "nearest" or not {LINE, COLUMN} <= read
+    if in_space and not set(AXES) <= read:
+        problem = f"no scan lines and columns, and no coordinates in {left.path}"
+        hint = "give -M, or --predicted-points with the points of the labels"
+        raise ConfigError("--places", problem, hint)
+    return in_space
 
 
 def _no_place(left: Side, right: Side, window: Window) -> ConfigError:

@@ -24,6 +24,7 @@ from prc_cli.evaluation.confusion import (
     range_groups,
 )
 from prc_cli.evaluation.mapping import ClassMapping
+from prc_cli.evaluation.places import Place
 from prc_cli.evaluation.scores import (
     FEW_BLOCKS,
     LEVEL,
@@ -35,6 +36,7 @@ from prc_cli.evaluation.scores import (
 )
 from prc_cli.jobs.evaluate.cuts import ScoredWindow
 from prc_cli.jobs.evaluate.options import EvaluateOptions
+from prc_cli.jobs.evaluate.places import PairFile, PlaceCollector
 from prc_cli.matching.join import CODE, Columns
 from prc_cli.matching.nearest import cell_keys, cell_places
 from prc_cli.matching.sides import CONFIDENCE, FILE, LINE, RANGE, ROW, SCANNER
@@ -111,6 +113,10 @@ class Plan:
     reference: tuple[str, ...]
     keys: tuple[str, ...]
     """Columns of both sides that the match needs."""
+    noted: tuple[str, ...] = ()
+    """Columns of the reference that a note names."""
+    in_space: bool = False
+    """Whether places are groups in space, not of lines and columns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +157,11 @@ class Counts:
     plan: StatePlan = field(default_factory=StatePlan)
     tolerances: set[float] = field(default_factory=set)
     """Largest distances of pairs, if they were chosen from the data."""
+    places: list[Place] = field(default_factory=list)
+    n_differ: int = 0
+    pair_file: PairFile | None = None
+    folded: dict[str, str] = field(default_factory=dict)
+    """Predicted classes that are counted as others."""
     notes: dict[str, int] = field(default_factory=dict)
     """Sentences, and the numbers for their ``{n}``; 0 for sentences without a number."""
 
@@ -158,6 +169,11 @@ class Counts:
         """Add a sentence; numbers of equal sentences are added."""
         if n or "{n}" not in sentence:
             self.notes[sentence] = self.notes.get(sentence, 0) + n
+
+    def restart_pairs(self) -> None:
+        """Forget the pairs of a match that starts again."""
+        if self.pair_file is not None:
+            self.pair_file.restart()
 
     def fold(self) -> None:
         """Count predicted classes that the reference never has as coarser ones of the mapping."""
@@ -172,6 +188,7 @@ class Counts:
         if folded:
             pairs = ", ".join(f"{name} as {coarser}" for name, coarser in folded.items())
             self.note(f"the reference has no {', '.join(folded)}: counted {pairs}")
+        self.folded = folded
         for part in self.parts.values():
             part.fold(folded)
         if self.third is not None:
@@ -210,6 +227,9 @@ class Counting:
         self._parts = {name: GroupedCounts(counts.mapping, name) for name in counts.parts}
         self._window = None if options.window is None else ScoredWindow(options.window)
         self._n_unsure = 0
+        self._places: PlaceCollector | None = None
+        if options.places:
+            self._places = PlaceCollector(counts.mapping, counts.pair_file, in_space=plan.in_space)
 
     def add(self, pairs: Compared) -> None:
         """Count pairs that are within the window and sure enough."""
@@ -228,6 +248,8 @@ class Counting:
             columns[FILE] = columns[FILE] + self._first_file
         codes = pairs.predicted[CODE]
         self._count(columns, cells_of(self._counts.mapping, codes, pairs.rows))
+        if self._places is not None:
+            self._places.add(columns, codes, pairs.rows)
         if self._counts.third is not None and pairs.third is not None:
             states = self._counts.third.add(codes, pairs.rows, pairs.third)
             if "x" in pairs.predicted:
@@ -256,6 +278,12 @@ class Counting:
         """Add the counts to the other pools, and note the pairs that were left out."""
         for name, part in self._parts.items():
             self._counts.parts[name].merge(part)
+        if self._places is not None:
+            places, n_differ = self._places.places()
+            if self._counts.pair_file is not None:
+                self._counts.pair_file.keep()
+            self._counts.places += places
+            self._counts.n_differ += n_differ
         if self._window is not None:
             self._counts.note(*self._window.outside(path))
         least = self._options.min_confidence

@@ -106,6 +106,10 @@ class EvaluateOptions:
     """Only the records of these lines or times, as in the files, are scored."""
     pool: bool = False
     """Whether all files of a side are compared as one, as tiles with other bounds."""
+    places: bool = False
+    """Whether the places where both sides differ are listed."""
+    place_pictures: bool = False
+    """Whether the first places have pictures."""
 
 
 def check_options(options: EvaluateOptions) -> None:
