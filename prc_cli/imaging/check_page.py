@@ -139,13 +139,11 @@ def _hash(text: str) -> str:
 def _place(view: PlaceView) -> tuple[dict[str, Any], dict[str, str]]:
     """Return the description of a place, and its packed values."""
     windows = (view.near, view.wide)
-    scale = _log_scale(view.wide.range_m)
     bright = _linear_scale(view.wide.intensity)
     planes: list[NDArray[np.uint32]] = []
     points: list[NDArray[np.uint32]] = []
     for window, step_m in zip(windows, _STEPS_M, strict=True):
-        ranges = _bytes(np.log(window.range_m), scale)
-        planes += [ranges]
+        planes += [_bytes(np.log(window.range_m), _log_scale(window.range_m))]
         if bright is not None:
             planes += [_bytes(window.intensity, bright)]
         if window.xyz_m is not None:
@@ -160,8 +158,6 @@ def _place(view: PlaceView) -> tuple[dict[str, Any], dict[str, str]]:
         ],
         "range": round(float(view.near.range_m[middle]), 3),
         "cell": [cell.scanner, cell.line, cell.column, cell.record],
-        "low": scale[0],
-        "high": scale[1],
         "bright": bright is not None,
         "azimuth": azimuth_deg,
         "up": up_deg,

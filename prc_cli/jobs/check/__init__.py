@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from prc_cli.config import LoadedConfig, refuse_window, resolve
@@ -21,6 +22,7 @@ from prc_cli.evaluation.answers import (
     SampleStratum,
 )
 from prc_cli.formats.input import Input
+from prc_cli.formats.labels import open_codes
 from prc_cli.formats.records import Source
 from prc_cli.formats.writing.record import fingerprint
 from prc_cli.imaging.check_page import check_page
@@ -106,6 +108,8 @@ def check(
     refuse_window(loaded.config, "prc check")
     prepare_outputs(output, overwrite=overwrite, inputs=loaded.inputs(scan.path, chosen.labels))
     scan.check()
+    if chosen.labels is None and not scan.is_las and _has_codes(scan, chosen):
+        chosen = replace(chosen, labels=scan.path)
     looks = RenderOptions(
         labels=chosen.labels, labels_dimension=chosen.labels_dimension, mapping=chosen.mapping
     )
@@ -143,6 +147,13 @@ def check(
     return CheckResult(
         output, name, n_shots, len(views), drawn.strata, answers.classes, output.stat().st_size
     )
+
+
+def _has_codes(scan: Input, options: CheckOptions) -> bool:
+    """Return whether a file that is no LAS has class codes beside its ranges."""
+    with suppress(PrcError):
+        return any(len(codes) for codes in open_codes(scan.path, options.labels_dimension).codes())
+    return False
 
 
 def _labels(scan: Input, options: CheckOptions) -> Source | None:
