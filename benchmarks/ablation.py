@@ -22,8 +22,9 @@ from benchmarks.contest_data import Scan, Simulated
 from benchmarks.contest_judge import judge, judge_things
 from benchmarks.contest_methods import label
 from prc_cli.config import load_config
+from prc_cli.methods.forest.thresholds import FOREST, Forest
 from prc_cli.methods.fused import pipeline
-from prc_cli.methods.fused.thresholds import FOREST, NEVER, NO_BINS, STREET, Forest, Limits
+from prc_cli.methods.fused.thresholds import NEVER, NO_BINS, STREET, Limits
 
 LEAST_THINGS = 200
 """Fewest cars, poles or curbs of the reference, in shots, to score them."""

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.random import Generator
 
 from prc_cli.core.types import F32, F64
-from prc_cli.methods.fused import stems_loops as stems
-from prc_cli.methods.fused.thresholds import (
+from prc_cli.methods.forest import stems_loops as stems
+from prc_cli.methods.forest.thresholds import (
     ForestThresholds,
     RunThresholds,
     StemThresholds,

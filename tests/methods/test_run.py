@@ -16,7 +16,8 @@ from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, U8
 from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.base import Classifier, MethodParams, Needs, OneByOne, Part, Turn, Wanted
-from prc_cli.methods.fused.thresholds import FOREST, STREET
+from prc_cli.methods.forest.thresholds import FOREST
+from prc_cli.methods.fused.thresholds import STREET
 from prc_cli.methods.methods import METHODS, MethodTables, table_of
 from prc_cli.methods.reasons import FURTHER, RULES, VOTE, reason_table
 from prc_cli.methods.returns import label_extra_returns

@@ -39,6 +39,10 @@ from prc_cli.methods.base import (
     beams_of,
     check_block,
 )
+from prc_cli.methods.forest import stems_loops
+from prc_cli.methods.forest.classes import forest
+from prc_cli.methods.forest.range_noise import forest_noise
+from prc_cli.methods.forest.thresholds import FOREST, Forest
 from prc_cli.methods.fused import (
     classes_loops,
     confidence_loops,
@@ -49,7 +53,6 @@ from prc_cli.methods.fused import (
     neighbours_loops,
     noise_loops,
     spacing_loops,
-    stems_loops,
     strips_loops,
     texture_loops,
     votes_loops,
@@ -76,7 +79,6 @@ from prc_cli.methods.fused.confidence import (
     of_further_returns,
     true_heights,
 )
-from prc_cli.methods.fused.forest import forest
 from prc_cli.methods.fused.ground import Ground, GroundMemory, follow_ground
 from prc_cli.methods.fused.interlace import align_columns
 from prc_cli.methods.fused.neighbours import chords, near_neighbours, smooth_pairs
@@ -85,10 +87,9 @@ from prc_cli.methods.fused.plane import (
     INNER_LINES,
     VOTE_LINES,
     WIDE_LINES,
-    Plane,
     ScanPlane,
 )
-from prc_cli.methods.fused.range_noise import Noise, NoiseAlong, SensorParams, forest_noise
+from prc_cli.methods.fused.range_noise import Noise, NoiseAlong, SensorParams
 from prc_cli.methods.fused.records import FilledSlots, Neighbours, Walls
 from prc_cli.methods.fused.spacing import (
     BESIDE_LINES,
@@ -99,7 +100,8 @@ from prc_cli.methods.fused.spacing import (
     strides_of,
 )
 from prc_cli.methods.fused.strips import Strips, measure_strips
-from prc_cli.methods.fused.thresholds import FOREST, NEVER, STREET, Forest, Limits, in_room
+from prc_cli.methods.fused.thresholds import NEVER, STREET, Limits, in_room
+from prc_cli.methods.plane import Plane
 from prc_cli.methods.returns import label_extra_returns
 
 FOREST_NOISE_M = 0.035

@@ -10,6 +10,7 @@ from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, F64, I32
 from prc_cli.methods.fused.neighbours_loops import plane_points
 from prc_cli.methods.fused.records import Beams, Sides
+from prc_cli.methods.plane import Plane
 
 AROUND_LINES = 5
 """Lines before and after a block that its labels depend on."""
@@ -19,30 +20,6 @@ WIDE_LINES = 2
 """Lines before and after a line whose strips and smoothness are combined with its own."""
 VOTE_LINES = 1
 """Lines before and after a block whose labels take part in the vote."""
-_TURN = 2 * np.pi
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Plane:
-    """Beam directions within the scan plane."""
-
-    sine: F64
-    """(M,) float64, metres to the side per metre of range."""
-    cosine: F64
-    """(M,) float64, metres down per metre of range."""
-    step_rad: float
-    """Angle between neighbouring columns, in the middle [rad]."""
-
-    @classmethod
-    def of(cls, beam_rad: F64) -> Plane:
-        """Return the plane of beams, (M,) float64, given by their angles from straight down [rad].
-
-        >>> Plane.of(np.deg2rad([179.0, -179.0, -177.0])).step_rad.__round__(4)
-        0.0349
-        """
-        step = np.abs(np.diff(beam_rad))
-        step = np.minimum(step, np.abs(_TURN - step))
-        return cls(np.sin(beam_rad), np.cos(beam_rad), float(np.median(step)) if len(step) else 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,7 +1,4 @@
-"""Range noise of the scanner, measured.
-
-On streets along the stream, in forests from the smoothest runs of shots.
-"""
+"""Range noise of the scanner, measured along the stream."""
 
 from __future__ import annotations
 
@@ -35,21 +32,6 @@ MANY_COLUMNS = 256
 """With so many columns and more, every fourth line is enough."""
 LEAST_TRIPLES = 100
 """Fewest shots to measure the noise from."""
-RUN_SHOTS = 9
-"""Second differences of ranges in a run."""
-SMOOTHEST = 0.1
-"""This share of the runs lies on stems and bare ground in every forest."""
-OF_SMOOTHEST = 1.4
-"""Range noise in units of what the smoothest tenth of the runs shows.
-
-That tenth is smooth partly by chance, so it shows less than the noise.
-"""
-SECOND_DIFFERENCE = 6.0
-"""Variance of a second difference, in variances of one range."""
-FOREST_EVERY_LINE = 4
-LEAST_RUNS = 100
-EDGE_M = 1.0
-"""Larger second differences are edges, and no run goes across one [m]."""
 DEFAULT_NOISE_M = 0.005
 """Range noise used until it could be measured [m]."""
 
@@ -220,33 +202,3 @@ def range_noise(off_m: F32) -> float | None:
     if len(halves) % 2 == 0:
         median_m = float(np.mean(np.array([halves[:half].max(), halves[half]])))
     return median_m / (NORMAL_QUARTILE * math.sqrt(MIDDLE_OF_THREE))
-
-
-@stage("range noise")
-def forest_noise(range_m: F32) -> float | None:
-    """Return the standard deviation of ranges on the smoothest surfaces [m].
-
-    None with too few runs of shots.
-
-    ``range_m`` (lines, M) float32, metres.
-
-    >>> rng = np.random.default_rng(1)
-    >>> lines = 5 + rng.normal(0, 0.01, (400, 200)).astype(np.float32)
-    >>> lines[:, 60:] += rng.exponential(0.5, (400, 140)).astype(np.float32)
-    >>> round(forest_noise(lines), 3)
-    0.009
-    """
-    ranges = range_m[::FOREST_EVERY_LINE].astype(np.float64)
-    if ranges.shape[1] < RUN_SHOTS + 2:
-        return None
-    with np.errstate(invalid="ignore"):  # ranges may be missing
-        bends = ranges[:, 2:] - 2.0 * ranges[:, 1:-1] + ranges[:, :-2]
-    n_runs = bends.shape[1] // RUN_SHOTS
-    runs = bends[:, : n_runs * RUN_SHOTS].reshape(-1, RUN_SHOTS)
-    runs = runs[(np.abs(runs) < EDGE_M).all(axis=1)]
-    if len(runs) < LEAST_RUNS:
-        return None
-    squares = np.square(runs).mean(axis=1)
-    place = int(SMOOTHEST * len(squares))
-    squares.partition(place)
-    return OF_SMOOTHEST * float(np.sqrt(squares[place] / SECOND_DIFFERENCE))

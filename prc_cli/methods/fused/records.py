@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.types import F32, F32_1, F32_2, F64, I32, I32_1, I32_2, U8, U8_2, U32, U64_2, Mask
+from prc_cli.core.types import F32, F32_1, F32_2, I32, I32_1, I32_2, U8, U8_2, U32, U64_2, Mask
 
 STRIPS = 320
 """Number of strips beside the scanner, half of them on either side."""
@@ -235,24 +235,3 @@ class CarTops(NamedTuple):
     """Shots in smooth surroundings."""
     rough_m: F32
     """Shots in rough surroundings."""
-
-
-class RunPoints(NamedTuple):
-    """Shots of a line of forest, from which upright runs are made, (M,) float64."""
-
-    side_m: F64
-    """Distance to the side in the scan plane [m]."""
-    height_m: F64
-    """Height above the scanner in the scan plane [m]."""
-    range_m: F64
-    tolerance_m: F64
-    """Greatest distance beside a run [m]."""
-    spacing_m: F64
-    """Distance of adjacent shots on something upright [m]."""
-
-
-class RunStarts(NamedTuple):
-    """First shot of every run of a line of forest, (M,) float64."""
-
-    side_m: F64
-    height_m: F64

@@ -1,4 +1,4 @@
-"""Loops of the fused classifier that find the ground and the stems of a forest in every scan plane.
+"""Loops that find the ground and the stems of a forest in every scan plane.
 
 Coordinates in the scan plane are those of range and beam: y = r sin b to the side and z = -r cos b
 up, with b the angle of the beam from straight down.
@@ -12,8 +12,8 @@ from prc_cli.core.classes import Label, Reason
 from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_2, F64, F64_1, F64_2, I32, I32_2, U8, U8_2, Mask, Mask_2
 from prc_cli.core.union_find_loops import find_root
-from prc_cli.methods.fused.records import RunPoints, RunStarts
-from prc_cli.methods.fused.thresholds import (
+from prc_cli.methods.forest.records import RunPoints, RunStarts
+from prc_cli.methods.forest.thresholds import (
     ForestThresholds,
     RunThresholds,
     StemThresholds,

@@ -13,15 +13,15 @@ import numpy as np
 
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, U8, Mask
-from prc_cli.methods.fused.plane import Plane
-from prc_cli.methods.fused.stems_loops import (
+from prc_cli.methods.forest.stems_loops import (
     forest_labels,
     ground_heights,
     ground_profiles,
     stem_shots,
     upright_runs,
 )
-from prc_cli.methods.fused.thresholds import Forest
+from prc_cli.methods.forest.thresholds import Forest
+from prc_cli.methods.plane import Plane
 
 LEAST_COLUMNS = 2
 MOST_COLUMNS = 8

@@ -17,10 +17,10 @@ from prc_cli.core.blocks import join
 from prc_cli.core.classes import LABEL_BITS, Label
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import classify_ranges
-from prc_cli.methods.fused import forest as woods
-from prc_cli.methods.fused.plane import Plane
-from prc_cli.methods.fused.range_noise import forest_noise
-from prc_cli.methods.fused.thresholds import FOREST, Forest
+from prc_cli.methods.forest import classes as woods
+from prc_cli.methods.forest.range_noise import forest_noise
+from prc_cli.methods.forest.thresholds import FOREST, Forest
+from prc_cli.methods.plane import Plane
 from prc_cli.simulation.settings import load_settings, open_simulation
 
 HEIGHT_M = 2.0

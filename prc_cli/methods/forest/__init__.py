@@ -1,0 +1,1 @@
+"""Ground, stems and other vegetation: what ``fused`` does in a forest."""
