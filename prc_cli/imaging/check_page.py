@@ -13,7 +13,7 @@ import base64
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from typing import Any, NamedTuple
 
@@ -77,7 +77,7 @@ class PlaceView(NamedTuple):
 
 
 def check_page(
-    views: Sequence[PlaceView],
+    views: Iterable[PlaceView],
     *,
     title: str,
     head: str,
@@ -89,7 +89,7 @@ def check_page(
 
     Parameters
     ----------
-    views : sequence of PlaceView
+    views : iterable of PlaceView
         In the order in which they are shown.
     title, head : str
     answers : mapping

@@ -137,7 +137,7 @@ def check(
     text = check_page(
         views,
         title=f"Check {source.name}",
-        head=heading(origin, f"{len(views):,} of {n_shots:,} shots, drawn at random"),
+        head=heading(origin, f"{len(drawn.places):,} of {n_shots:,} shots, drawn at random"),
         answers=answers.model_dump(mode="json"),
         colours=[words.table.colour(words.table.names.index(each)) for each in answers.classes],
         file=name,
@@ -145,7 +145,13 @@ def check(
     with atomic_output(output, overwrite=overwrite) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
     return CheckResult(
-        output, name, n_shots, len(views), drawn.strata, answers.classes, output.stat().st_size
+        output,
+        name,
+        n_shots,
+        len(drawn.places),
+        drawn.strata,
+        answers.classes,
+        output.stat().st_size,
     )
 
 

@@ -21,7 +21,7 @@ from prc_cli.imaging.check_page import Cell, PlaceView, Window
 from prc_cli.jobs.check.draw import order_lines
 from prc_cli.jobs.coordinates import spacing
 from prc_cli.jobs.render.cloud import AXES, Cloud
-from prc_cli.jobs.render.viewer import look_up_columns, plane_normal
+from prc_cli.jobs.render.viewer import plane_normal
 
 NEAR = (20, 40)
 """Lines and columns of the near window on either side of the shot, every one of them."""
@@ -33,6 +33,8 @@ REACH_TURN = 0.125
 """Part of a line that the wide window covers on either side."""
 FULL_SIZE = 300
 """With more places, windows are smaller, so that the page does not grow."""
+_SAMPLED = 50
+"""Points of a window that tell whether all coordinates are in one plane."""
 _TIMES_FROM = 64
 """Lines whose times give the line frequency."""
 
@@ -56,6 +58,10 @@ class _Patch:
     sensor_m: F32
     """(lines, columns, 3) float32 [m], relative to the scanner; NaN = none."""
     intensity: F32
+    placed_m: F32
+    """(lines, columns, 3) float32 [m], by the file, from its first point; NaN = none."""
+    origin_m: F64 | None = None
+    """First point, (3,) float64 [m]."""
 
     @classmethod
     def around(cls, place: Cell, half: tuple[int, int], steps: Steps) -> _Patch:
@@ -70,7 +76,24 @@ class _Patch:
             np.full(shape, -1, np.int64),
             np.full((*shape, 3), np.nan, np.float32),
             np.full(shape, np.nan, np.float32),
+            np.empty((0, 0, 3), np.float32),
         )
+
+    def place(self, ids: I64, xyz_m: F64) -> F64:
+        """Take the coordinates of the records that the window has; return them, (n, 3) [m].
+
+        ``ids`` are records in ascending order.
+        """
+        if not self.placed_m.size:
+            self.placed_m = np.full((*self.record.shape, 3), np.nan, np.float32)
+        at = np.minimum(np.searchsorted(ids, self.record), len(ids) - 1)
+        is_there = (self.record >= 0) & (ids[at] == self.record)
+        placed: F64 = xyz_m[at[is_there]]
+        if self.origin_m is None and len(placed):
+            self.origin_m = placed[0]
+        if self.origin_m is not None:
+            self.placed_m[is_there] = placed - self.origin_m
+        return placed
 
     def take(self, block: ScanBlock) -> None:
         """Copy the cells that a block has."""
@@ -164,8 +187,8 @@ def surroundings(
     info: StreamInfo,
     places: Sequence[Cell],
     see: Callable[[ScanBlock], None],
-) -> list[PlaceView]:
-    """Read the windows of all places.
+) -> Iterator[PlaceView]:
+    """Read the windows of all places, and yield them in their order.
 
     Memory depends on the number of places, not on the length of the drive.
     """
@@ -180,15 +203,18 @@ def surroundings(
         windows.take(block)
         see(block)
     records = _with_coordinates(scan, loaded)
-    views: dict[int, PlaceView] = {}
-    for windows in by_scanner.values():
-        across = _plane(windows)
-        for number in windows.numbers.tolist():
-            patches = (windows.near[number], windows.wide[number])
-            views[number] = _view(places[number], patches, windows, across)
-    if records is not None:
-        _put_coordinates(records, by_scanner, views)
-    return [views[number] for number in range(len(places))]
+    is_placed = records is not None and _put_coordinates(records, by_scanner)
+    return _views(places, by_scanner, is_placed=is_placed)
+
+
+def _views(
+    places: Sequence[Cell], by_scanner: dict[int, _Windows], *, is_placed: bool
+) -> Iterator[PlaceView]:
+    across = {scanner: _plane(windows) for scanner, windows in by_scanner.items()}
+    for number, place in enumerate(places):
+        windows = by_scanner[place.scanner]
+        patches = (windows.near.pop(number), windows.wide.pop(number))
+        yield _view(place, patches, windows, across[place.scanner], is_placed=is_placed)
 
 
 def _with_coordinates(scan: Input, loaded: LoadedConfig) -> Source | None:
@@ -206,22 +232,31 @@ def _plane(windows: _Windows) -> F64 | None:
 
 
 def _view(
-    place: Cell, patches: tuple[_Patch, _Patch], windows: _Windows, across: F64 | None
+    place: Cell,
+    patches: tuple[_Patch, _Patch],
+    windows: _Windows,
+    across: F64 | None,
+    *,
+    is_placed: bool,
 ) -> PlaceView:
-    shown = []
     to_scanner = np.full(3, np.nan)
+    shown = []
     for patch in patches:
-        xyz_m = patch.sensor_m.astype(np.float64)
-        if across is not None:
+        middle = (len(patch.lines) // 2, len(patch.columns) // 2)
+        to_scanner = -patch.sensor_m[middle].astype(np.float64)
+        xyz_m = patch.sensor_m
+        if is_placed and patch.placed_m.size:
+            xyz_m = patch.placed_m
+            to_scanner = _turned(patch.sensor_m[middle[0]], xyz_m[middle[0]], to_scanner)
+        elif across is not None:
             along_m = (patch.lines - place.line) * windows.spacing_m
-            xyz_m += along_m[:, None, None] * across
-        centre = xyz_m[len(xyz_m) // 2, xyz_m.shape[1] // 2]
-        to_scanner = -centre
+            xyz_m = (xyz_m + along_m[:, None, None] * across).astype(np.float32)
+        is_known = bool(np.isfinite(xyz_m[middle]).all())
         shown.append(
             Window(
                 patch.steps,
                 patch.range_m,
-                (xyz_m - centre).astype(np.float32) if np.isfinite(centre).all() else None,
+                xyz_m - xyz_m[middle] if is_known else None,
                 patch.intensity,
                 _is_flipped(windows.beam_rad, patch.columns),
             )
@@ -237,45 +272,38 @@ def _is_flipped(beam_rad: F64 | None, columns: I64) -> bool:
     return bool(abs(beam_rad[inside[-1]]) > abs(beam_rad[inside[0]]))
 
 
-def _put_coordinates(
-    records: Source, by_scanner: dict[int, _Windows], views: dict[int, PlaceView]
-) -> None:
-    """Replace coordinates by those of the file."""
+def _put_coordinates(records: Source, by_scanner: dict[int, _Windows]) -> bool:
+    """Read coordinates of the file into all windows; False if they do not place the lines."""
     patches = [
-        (number, patch)
+        patch
         for windows in by_scanner.values()
         for number in windows.numbers.tolist()
         for patch in (windows.near[number], windows.wide[number])
     ]
-    if not patches:
-        return
-    record = np.concatenate([patch.record.ravel() for _, patch in patches])
-    columns = look_up_columns(records, AXES, record)
-    xyz_m = np.stack([columns[axis] for axis in AXES], axis=1)
-    known = xyz_m[np.isfinite(xyz_m).all(axis=1)]
-    if plane_normal(known) is not None:
-        return  # coordinates in the scan plane do not place the lines
-    start = 0
-    for number, patch in patches:
-        stop = start + patch.record.size
-        placed = xyz_m[start:stop].reshape(patch.sensor_m.shape)
-        start = stop
-        views[number] = _placed(views[number], patch, placed)
+    ends = np.array([_ends(patch.record) for patch in patches]).reshape(-1, 2)
+    sample = []
+    for chunk in records.chunks(AXES):
+        ids = chunk.records()
+        order = np.argsort(ids, kind="stable")
+        ids = ids[order]
+        if not len(ids):
+            continue
+        xyz_m = np.stack([np.asarray(chunk.values[axis], np.float64) for axis in AXES], axis=1)
+        xyz_m = xyz_m[order]
+        for number in np.flatnonzero((ends[:, 0] <= ids[-1]) & (ends[:, 1] >= ids[0])).tolist():
+            placed = patches[number].place(ids, xyz_m)
+            sample.append(placed[:: max(1, len(placed) // _SAMPLED)])
+    known = np.concatenate(sample) if sample else np.empty((0, 3))
+    # coordinates in the scan plane do not place the lines
+    return len(known) > 0 and plane_normal(known) is None
 
 
-def _placed(view: PlaceView, patch: _Patch, xyz_m: F64) -> PlaceView:
-    middle = len(xyz_m) // 2
-    centre = xyz_m[middle, xyz_m.shape[1] // 2]
-    if not np.isfinite(centre).all():
-        return view
-    relative = (xyz_m - centre).astype(np.float32)
-    if patch.steps == view.near.steps and patch.range_m is view.near.range_m:
-        return view._replace(near=view.near._replace(xyz_m=relative))
-    turned = _turned(patch.sensor_m[middle], xyz_m[middle], view.to_scanner)
-    return view._replace(wide=view.wide._replace(xyz_m=relative), to_scanner=turned)
+def _ends(record: I64) -> tuple[int, int]:
+    known = record[record >= 0]
+    return (int(known.min()), int(known.max())) if len(known) else (1, 0)
 
 
-def _turned(sensor_m: F32, placed_m: F64, to_scanner: F64) -> F64:
+def _turned(sensor_m: F32, placed_m: F32, to_scanner: F64) -> F64:
     """Turn the direction to the scanner about the vertical, into the frame of the file.
 
     The points of one scan line are known in both frames.
@@ -284,7 +312,7 @@ def _turned(sensor_m: F32, placed_m: F64, to_scanner: F64) -> F64:
     if np.count_nonzero(known) < 3 or not np.isfinite(to_scanner).all():
         return to_scanner
     before = sensor_m[known].astype(np.float64) @ (1, 1j, 0)
-    after = placed_m[known] @ (1, 1j, 0)
+    after = placed_m[known].astype(np.float64) @ (1, 1j, 0)
     turn = np.vdot(before - before.mean(), after - after.mean())
     moved = complex(*to_scanner[:2]) * turn / max(abs(turn), 1e-12)
     return np.array([moved.real, moved.imag, to_scanner[2]])

@@ -418,12 +418,12 @@ def _of_files(
             () if records is None else tuple(name for name in names if name in records.dimensions)
         )
         if records is not None and present and (names is not AXES or present == AXES):
-            values |= look_up_columns(records, present, record)
+            values |= _look_up(records, present, record)
     return values
 
 
-def look_up_columns(records: Source, names: tuple[str, ...], record: I64) -> dict[str, F64]:
-    """Return columns of the records of some cells; NaN for cells without a record."""
+def _look_up(records: Source, names: tuple[str, ...], record: I64) -> dict[str, F64]:
+    # columns of the records of some cells; NaN for cells without a record
     flat = record.ravel()
     order = np.argsort(flat, kind="stable")
     sorted_ids = flat[order]
