@@ -1,8 +1,11 @@
 """Classification before registration beside one after it (CAR), on a simulated drive with known
 classes.
 
-    python -m benchmarks.car > docs/figures/car.md
-    python -m benchmarks.car --length 40
+    python -m benchmarks.car             # writes docs/figures/car.md
+    python -m benchmarks.car --length 40 --page /tmp/page.md
+    # the section on Oakland's registered points, in the same page
+    python -m benchmarks.car --oakland
+    python -m benchmarks.car --large 20000000 40000000  # memory of the nearest match alone, printed
 
 The drive is registered with a trajectory that has 2 cm of error on every axis, cut into tiles of 40
 m, shuffled, cleaned of single points and thinned to one point in 5 cm, as an office delivers it.
@@ -12,10 +15,13 @@ vegetation; it has the ASPRS codes 2, 5 and 6 alone. It is a plain one: offices 
 
 from __future__ import annotations
 
+import argparse
+import json
 import re
+import subprocess
+import sys
 import tempfile
 import time
-from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -24,11 +30,13 @@ import laspy
 import numpy as np
 from scipy.spatial import cKDTree
 
-from benchmarks.pages import DATA, duration, heading, parser_of, say, table
-from benchmarks.user import Done, run
+from benchmarks.contest_data import DATA
+from benchmarks.pages import heading
+from benchmarks.user import CHILD
 from prc_cli.core.types import F64, I64, Mask
 
-OF_CAR = ("ground", "building", "vegetation")
+OAKLAND = "## Oakland's registered points"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "figures" / "car.md"
 ERROR_M = 0.02
 THINNED_M = 0.05
 TILE_M = 40.0
@@ -38,7 +46,26 @@ GROUND = 2
 VEGETATION = 5
 BUILDING = 6
 NOISE = 7
+LENGTH_M = 120.0
 SCORES = ("recall", "precision", "f1")
+
+
+def prc(*arguments: object) -> tuple[Any, float, float]:
+    """Run a command; return what it prints as JSON, its time [s] and its peak memory [MiB]."""
+    start = time.perf_counter()
+    command = [
+        sys.executable,
+        "-c",
+        CHILD.replace("stdout=sys.stderr", "stdout=sys.stdout"),
+        *map(str, arguments),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    text, _, peak = done.stdout.rstrip().rpartition("\n")
+    return (
+        json.loads(text) if text.strip().startswith("{") else None,
+        time.perf_counter() - start,
+        float(peak),
+    )
 
 
 def registered(las: laspy.LasData, seed: int = 1) -> F64:
@@ -108,13 +135,16 @@ def write_tiles(
         las.write(folder / f"tile_{column}_{row}.laz")
 
 
-def make(folder: Path, length: float, seed: int) -> dict[str, Done]:
+def make(folder: Path, length: float, seed: int) -> dict[str, tuple[float, float]]:
     """Write the drive, what the office delivers with the true classes, and the CAR.
 
     Return time and memory.
     """
+    used = {}
     drive = folder / "drive.laz"
-    simulated = run("simulate", "street", drive, "--length", length, "--seed", seed, "-q")
+    used["simulate"] = prc("simulate", "street", drive, "--length", length, "--seed", seed, "-q")[
+        1:
+    ]
     las = laspy.read(drive)
     xyz = registered(las)
     codes = np.asarray(las.classification).astype(np.int64)
@@ -123,13 +153,8 @@ def make(folder: Path, length: float, seed: int) -> dict[str, Done]:
     start = time.perf_counter()
     kept = delivered(xyz, ~is_lonely(xyz))
     write_tiles(folder / "car", xyz[kept], car_classes(xyz[kept]))
-    took_s = time.perf_counter() - start
-    return {
-        "simulate the drive": simulated,
-        "clean, thin, classify after registration (CSF, SciPy)": replace(
-            simulated, seconds=took_s, peak_mib=np.nan
-        ),
-    }
+    used["CAR"] = time.perf_counter() - start, float("nan")
+    return used
 
 
 def noise_of(matrix: Any) -> tuple[float, float]:
@@ -147,128 +172,255 @@ def estimated_noise(matrix: Any) -> tuple[float, float]:
     return float(recall), float(precision)
 
 
-def print_table(title: str, header: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
-    print(f"## {title}\n")
-    table(header, rows)
+def table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    """Return a Markdown table."""
+    lines = [header, ("---", *["---:"] * (len(header) - 1)), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
 
-SIDES = tuple(f"{side} {score}" for side in ("PRC", "CAR") for score in SCORES)
-
-
-def both_sides(three: Any, name: str) -> tuple[str, ...]:
-    """Return the scores of a class by PRC and by the CAR."""
-    sides = [three[side]["classes"].get(name, {}) for side in ("predicted", "third")]
-    return tuple(f"{side.get(score) or 0:.3f}" for side in sides for score in SCORES)
-
-
-def walk(folder: Path, length: float, seed: int) -> None:
-    """Compare on a simulated drive, whose classes are known."""
+def page(folder: Path, length: float, seed: int) -> str:
+    """Run the walk and return its page of figures."""
     used = make(folder, length, seed)
-    labels = folder / "prc.laz"
-    drive = folder / "drive.laz"
-    used["1 classify"] = run("classify", drive, labels, "--preset", "fused", "-q")
-    exact = run("evaluate", labels, drive, "--mapping", "street", "--json").table()
-    near = ("--match", "nearest", "--json", "--unmatched", "noise", "--mapping")
-    with_car = run("evaluate", labels, folder / "car", *near, "asprs")
-    inside = ("street", "--inside", "-500,-500,500,500")
-    with_truth = run("evaluate", labels, folder / "truth", *near, *inside)
-    third = ("street", "--third", folder / "car", "--third-mapping", "asprs")
-    all_three = run("evaluate", labels, folder / "truth", *near, *third)
+    run = folder / "prc.laz"
+    near = ("--match", "nearest", "--json")
+    used["1"] = prc("classify", folder / "drive.laz", run, "--preset", "fused", "-q")[1:]
+    exact, *_ = prc("evaluate", run, folder / "drive.laz", "--mapping", "street", "--json")
+    asprs, *used["2"] = prc(
+        "evaluate", run, folder / "car", *near, "--mapping", "asprs", "--unmatched", "noise"
+    )
+    noise, *used["3"] = prc(
+        "evaluate",
+        run,
+        folder / "truth",
+        *near,
+        "--mapping",
+        "street",
+        "--unmatched",
+        "noise",
+        "--inside",
+        "-500,-500,500,500",
+    )
+    three, *used["4"] = prc(
+        "evaluate",
+        run,
+        folder / "truth",
+        *near,
+        "--mapping",
+        "street",
+        "--third",
+        folder / "car",
+        "--third-mapping",
+        "asprs",
+        "--unmatched",
+        "noise",
+    )
     tile = max((folder / "truth").iterdir(), key=lambda path: path.stat().st_size)
-    used["2 evaluate against CAR"] = with_car
-    used["3 evaluate against the truth as delivered"] = with_truth
-    used["4 evaluate all three"] = all_three
-    used["5 transfer to the largest tile"] = run(
-        "transfer", labels, tile, folder / "out.laz", "--match", "nearest", "-q"
-    )
-    asprs, noise, three = (done.table() for done in (with_car, with_truth, all_three))
-    print(f"A simulated street of {length:g} m, seed {seed}: {exact['n_scored']:,} shots.\n")
-    print_table(
-        "Time and memory",
-        ("command", "time [s]", "memory [MiB]"),
-        [(name, f"{done.seconds:.1f}", f"{done.peak_mib:.0f}") for name, done in used.items()],
-    )
-    print_table(
-        "Scores against the truth",
-        ("class", *SIDES),
-        [(name, *both_sides(three["three"], name)) for name in (*OF_CAR, "noise")],
-    )
-    rows = {
-        "true, all shots": noise_of(exact),
-        "from the reference without noise, as counted": noise_of(noise),
-        "from the same, as estimated": estimated_noise(noise),
-        "from the CAR": noise_of(asprs),
+    used["5"] = prc("transfer", run, tile, folder / "out.laz", "--match", "nearest", "-q")[1:]
+    n = exact["n_scored"]
+    names = {
+        "simulate": "simulate the drive",
+        "CAR": "clean, thin, classify after registration (CSF, SciPy)",
+        "1": "1 classify",
+        "2": "2 evaluate against CAR",
+        "3": "3 evaluate against the truth as delivered",
+        "4": "4 evaluate all three",
+        "5": "5 transfer to the largest tile",
     }
-    print_table(
-        "Noise",
-        ("figure", "recall", "precision"),
-        [(name, *(f"{value:.3f}" for value in pair)) for name, pair in rows.items()],
-    )
-    states = three["three"]["states"]
-    total = max(sum(states.values()), 1)
-    print_table(
-        "Agreement",
-        ("shots", "share"),
-        [(name, f"{count / total:.1%}") for name, count in states.items()],
-    )
-    print("## What evaluate says\n")
-    for title, matrix in (("Against CAR", asprs), ("Against the truth", noise)):
-        print(f"### {title}\n")
-        print("\n".join(f"- {note}" for note in matrix["match"]["notes"]) + "\n")
+    commands = [
+        (name, f"{used[key][0]:.1f}", "-" if np.isnan(used[key][1]) else f"{used[key][1]:.0f}")
+        for key, name in names.items()
+    ]
+    scored = three["three"]
+    classes = [
+        (
+            name,
+            *(
+                f"{side['classes'].get(name, {}).get(score) or 0:.3f}"
+                for side in (scored["predicted"], scored["third"])
+                for score in SCORES
+            ),
+        )
+        for name in ("ground", "building", "vegetation", "noise")
+    ]
+    truth = noise_of(exact)
+    estimate = noise_of(noise)
+    parts = [
+        (
+            f"{heading('Figures before and after registration', 'car')}\n"
+            f"`python -m benchmarks.car --length {length:g}`: {n:,} shots."
+        ),
+        "Times are wall times on a machine shared with other work; peak memory is of the command",
+        "with its guard.\n\n## Time and memory\n",
+        table(("command", "time [s]", "memory [MiB]"), commands),
+        "## Scores against the truth\n",
+        table(
+            ("class", *(f"{side} {score}" for side in ("PRC", "CAR") for score in SCORES)), classes
+        ),
+        "## Noise\n",
+        table(
+            ("figure", "recall", "precision"),
+            [
+                ("true, all shots", *(f"{value:.3f}" for value in truth)),
+                (
+                    "from the reference without noise, as counted",
+                    *(f"{value:.3f}" for value in estimate),
+                ),
+                (
+                    "from the same, as estimated",
+                    *(f"{value:.3f}" for value in estimated_noise(noise)),
+                ),
+                ("from the CAR", *(f"{value:.3f}" for value in noise_of(asprs))),
+            ],
+        ),
+        "## Agreement\n",
+        table(
+            ("shots", "share"),
+            [
+                (name, f"{count / max(sum(scored['states'].values()), 1):.1%}")
+                for name, count in scored["states"].items()
+            ],
+        ),
+        "## What evaluate says\n\n### Against CAR\n",
+        *(f"- {note}" for note in asprs["match"]["notes"]),
+        "\n### Against the truth\n",
+        *(f"- {note}" for note in noise["match"]["notes"]),
+    ]
+    return "\n".join(parts).replace(str(folder) + "/", "") + "\n"
 
 
-def oakland() -> None:
-    """Compare PRC on recovered lines with CAR on the registered points they came from."""
+def oakland_section(folder: Path) -> str:
+    """Compare PRC on recovered lines with CAR on the registered points they came from, strip by
+    strip."""
     rows: list[tuple[str, ...]] = []
     states: list[tuple[str, ...]] = []
     seconds: list[tuple[str, ...]] = []
     for strip in (1, 2, 3):
         scan = DATA / "oakland" / f"oakland_{strip}.csv.gz"
-        with tempfile.TemporaryDirectory() as name:
-            labels, car = (Path(name) / side for side in ("prc.npy", "car.npy"))
-            done = run("classify", scan, labels, "--preset", "fused", "-q")
-            points = np.genfromtxt(scan, delimiter=",", skip_header=1)[:, 4:7]
-            there = np.isfinite(points).all(axis=1)
-            start = time.perf_counter()
-            codes = np.zeros(len(points), np.uint8)
-            codes[there] = car_classes(points[there])
-            took_s = time.perf_counter() - start
-            np.save(car, codes)
-            third = ("--third", car, "--third-mapping", "asprs", "--json")
-            summary = run("evaluate", labels, scan, "--mapping", "street_oakland", *third)
-        three = summary.table()["three"]
-        seconds.append((str(strip), f"{there.sum():,}", f"{done.seconds:.1f}", f"{took_s:.1f}"))
-        rows += [
-            (f"{strip} {name}", *both_sides(three, name))
-            for name in OF_CAR
-            if three["predicted"]["classes"].get(name, {}).get("n_reference")
-        ]
+        labels = folder / f"prc_{strip}.npy"
+        car = folder / f"car_{strip}.npy"
+        used = prc("classify", scan, labels, "--preset", "fused", "-q")
+        points = np.genfromtxt(scan, delimiter=",", skip_header=1)[:, 4:7]
+        there = np.isfinite(points).all(axis=1)
+        start = time.perf_counter()
+        codes = np.zeros(len(points), np.uint8)
+        codes[there] = car_classes(points[there])
+        seconds.append(
+            (f"{strip}", f"{there.sum():,}", f"{used[1]:.1f}", f"{time.perf_counter() - start:.1f}")
+        )
+        np.save(car, codes)
+        summary, *_ = prc(
+            "evaluate",
+            labels,
+            scan,
+            "--mapping",
+            "street_oakland",
+            "--third",
+            car,
+            "--third-mapping",
+            "asprs",
+            "--json",
+        )
+        three = summary["three"]
+        for name in ("ground", "building", "vegetation"):
+            sides = [three[side]["classes"].get(name, {}) for side in ("predicted", "third")]
+            if sides[0].get("n_reference"):
+                rows.append(
+                    (
+                        f"{strip} {name}",
+                        *(f"{side.get(score) or 0:.3f}" for side in sides for score in SCORES),
+                    )
+                )
         total = max(sum(three["states"].values()), 1)
-        states.append((str(strip), *(f"{n / total:.1%}" for n in three["states"].values())))
-    print("## Oakland's registered points\n")
-    say("""Labels were made by hand on the registered points. CAR reads these points. PRC reads
-    lines, angles and ranges that were recovered from them by fitting (0.5 degrees, 1 cm): its side
-    is no raw stream either, and its noise had been deleted. Strip 1 decided limits of the fused
-    method, strip 2 one of its rules, strip 3 nothing. Times include Python's start.""")
-    table(("strip and class", *SIDES), rows)
-    table(("strip", *three["states"]), states)
-    table(("strip", "points", "PRC [s]", "CAR [s]"), seconds)
+        states.append((f"{strip}", *(f"{count / total:.1%}" for count in three["states"].values())))
+    names = tuple(three["states"])
+    return "\n".join(
+        [
+            f"{OAKLAND}\n",
+            (
+                "Written by `python -m benchmarks.car --oakland`. Labels were made by hand on "
+                "the registered points. CAR reads"
+            ),
+            (
+                "these points. PRC reads lines, angles and ranges that were recovered from "
+                "them by fitting (.5 degrees, 1 cm):"
+            ),
+            (
+                "its side is no raw stream either, and its noise had been deleted. Strip 1 "
+                "decided limits of the fused method,"
+            ),
+            (
+                "strip 2 one of its rules, strip 3 nothing. Times include Python's start; "
+                "other work ran beside them.\n"
+            ),
+            table(
+                (
+                    "strip and class",
+                    *(f"{side} {score}" for side in ("PRC", "CAR") for score in SCORES),
+                ),
+                rows,
+            ),
+            table(("strip", *names), states),
+            table(("strip", "points", "PRC [s]", "CAR [s]"), seconds),
+        ]
+    )
+
+
+def large(n: int, folder: Path) -> str:
+    """Return time and memory of matching n shots with as many registered points, 200 on every
+    square metre."""
+    for name, seed in (("run", 1), ("reference", 2)):
+        header = laspy.LasHeader(version="1.4", point_format=6)
+        header.scales = np.full(3, 0.001)
+        random = np.random.default_rng(seed)
+        with laspy.open(folder / f"{name}.las", "w", header=header) as writer:
+            for first in range(0, n, 1 << 20):
+                m = min(1 << 20, n - first)
+                points = laspy.ScaleAwarePointRecord.zeros(m, header=header)
+                points.x = first / 4000 + random.uniform(0, m / 4000, m)
+                points.y = random.uniform(0, 20, m)
+                points.z = random.normal(0, 0.005, m)
+                points.classification[:] = GROUND
+                writer.write_points(points)
+    summary, seconds, peak = prc(
+        "evaluate", folder / "run.las", folder / "reference.las", "--match", "nearest", "--json"
+    )
+    return (
+        f"{n:,} shots: {summary['match']['n_matched']:,} pairs, {seconds:.0f} s, peak "
+        f"{peak:.0f} MiB"
+    )
 
 
 def main() -> None:
-    """Print the page."""
-    parser = parser_of(__doc__)
+    """Write the page, or print the figures of large files."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument(
         "--seed", type=int, default=7, help="of the street; 7 decided the rule of unmatched noise"
     )
-    parser.add_argument("--length", type=float, default=120.0, help="length of the street [m]")
+    parser.add_argument("--length", type=float, default=LENGTH_M, help="length of the street [m]")
+    parser.add_argument("--page", type=Path, default=PAGE)
+    parser.add_argument(
+        "--oakland", action="store_true", help="write the section on the Oakland strips alone"
+    )
+    parser.add_argument("--large", type=int, nargs="+", metavar="SHOTS")
     options = parser.parse_args()
-    print(heading("Figures of PRC and CAR", "car"))
     with tempfile.TemporaryDirectory() as folder:
-        walk(Path(folder), options.length, options.seed)
-    if (DATA / "oakland").exists():
-        oakland()
-    print(duration())
+        if options.large:
+            for n in options.large:
+                print(large(n, Path(folder)), flush=True)
+            return
+        before, _, section = (PAGE.read_text(encoding="utf-8") if PAGE.exists() else "").partition(
+            OAKLAND
+        )
+        section = OAKLAND + section if section else ""
+        if options.oakland:
+            section = oakland_section(Path(folder))
+        else:
+            before = page(Path(folder), options.length, options.seed) + "\n"
+        options.page.write_text(
+            (before.rstrip() + "\n\n" + section).rstrip() + "\n", encoding="utf-8"
+        )
 
 
 if __name__ == "__main__":

@@ -33,6 +33,7 @@ from typing import Any
 import click
 
 from prc_cli.cli import cli
+from prc_cli.cli.options import ALL_OPTIONS
 from prc_cli.config import RunConfig, preset_summaries
 from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
 from prc_cli.core.config import Params, model_in
@@ -72,6 +73,7 @@ def _help(command: click.Command, name: str) -> str:
         help_option_names=settings["help_option_names"],
         max_content_width=settings["max_content_width"],
     ) as context:
+        context.meta[ALL_OPTIONS] = True
         return command.get_help(context).rstrip()
 
 

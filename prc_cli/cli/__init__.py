@@ -28,6 +28,7 @@ from prc_cli.core.files import (
     take_back,
 )
 from prc_cli.core.interrupts import Interrupts
+from prc_cli.core.near import did_you_mean, nearest
 from prc_cli.core.paths import begin_command
 from prc_cli.core.process import no_collecting
 from prc_cli.core.version import __version__
@@ -112,8 +113,6 @@ class LazyGroup(click.Group):
         """Name the nearest command when one is unknown."""
         name = args[0] if args else ""
         if name and name not in COMMANDS and not name.startswith("-"):
-            from prc_cli.core.near import did_you_mean
-
             hint = did_you_mean(name, COMMANDS)
             ctx.fail(f"there is no command {name!r}" + (f"; {hint}" if hint else ""))
         return super().resolve_command(ctx, args)
@@ -236,6 +235,16 @@ def _usage_message(error: click.ClickException) -> str:
         if isinstance(error.param, click.Argument):
             needed = " ".join(context.command.collect_usage_pieces(context)[1:])
         text = f"{context.command_path} needs {needed}"
+    if isinstance(error, click.NoSuchOption):
+        from prc_cli.cli.gone import instead_of
+
+        option = error.option_name
+        text = f"there is no option {option}"
+        instead = instead_of(context.command_path, option)
+        if instead is not None:
+            return message("error", f"{text} any more", f"type {instead}")
+        near = nearest(option, error.possibilities or (), cutoff=0.75)
+        text += f"; did you mean {near}?" if near else ""
     problem, _, advice = text.partition("; ")
     manual = f"see {context.command_path} --help"
     if advice:

@@ -17,7 +17,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from prc_cli.cli.options import (
-    Word,
+    Sectioned,
     add_options,
     complete_mapping,
     layers_from,
@@ -28,6 +28,7 @@ from prc_cli.cli.output import print_json
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, WRITTEN_TEXT
 from prc_cli.core.errors import ConfigError, ExitCode, PrcError
 from prc_cli.core.interrupts import raise_or_wait
+from prc_cli.core.near import nearest
 from prc_cli.core.own_file import read_own, write_own
 from prc_cli.core.paths import begin_command
 
@@ -46,7 +47,7 @@ _MAX_COMMAND = 1 << 20
 """Largest file that is read as the last command [bytes]."""
 
 
-class BatchCommand(click.Group):
+class BatchCommand(Sectioned, click.Group):
     """A command whose first word is a folder, or the name of one of its subcommands."""
 
     def make_context(
@@ -61,6 +62,11 @@ class BatchCommand(click.Group):
             subcommand = self.commands[args[0]]
             name = f"{info_name} {args[0]}"
             return subcommand.make_context(name, args[1:], parent=parent, **extra)
+        first = args[0] if args else ""
+        near = nearest(first, self.commands, cutoff=0.75)
+        if near and not first.startswith("-") and not Path(first).exists():
+            message = f"there is no folder {first}; did you mean prc batch {near}?"
+            raise click.UsageError(message, parent)
         typed = list(args)  # reading them takes them away
         context = super().make_context(info_name, args, parent=parent, **extra)
         context.meta[_TYPED] = typed
@@ -69,6 +75,11 @@ class BatchCommand(click.Group):
             message = f"did you mean {context.command_path} {out} FOLDER? Type ./{out} for a folder"
             raise click.UsageError(message, context)
         return context
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options, then the subcommands."""
+        super().format_options(ctx, formatter)
+        self.format_commands(ctx, formatter)
 
     # what a plain command does, not a group
     allow_extra_args = False
@@ -125,9 +136,6 @@ _SELECTION = [
     _option(
         "--shard", metavar="I/N", help="Use only part I of N. Give every machine another part."
     ),
-    _option(
-        "--only-failed", is_flag=True, help="Use only files that failed or were interrupted before."
-    ),
 ]
 _WORK = [
     _option(
@@ -143,16 +151,9 @@ _WORK = [
         help="Threads per file. Default: cores / jobs.",
     ),
     _option(
-        "--engine",
-        type=Word(["local", "dask"]),
-        default="local",
-        show_default=True,
-        help="Use this machine or a Dask cluster.",
-    ),
-    _option(
         "--scheduler",
         metavar="ADDRESS",
-        help="Address of the Dask cluster, e.g. tcp://10.0.0.1:8786.",
+        help="Use the Dask cluster at this address, e.g. tcp://10.0.0.1:8786.",
     ),
     _option(
         "--retry",
@@ -252,7 +253,23 @@ _REPORTING = [
 ]
 
 
-@click.group(cls=BatchCommand, subcommand_metavar="")
+@click.group(
+    cls=BatchCommand,
+    subcommand_metavar="",
+    brief=(
+        "--include",
+        "--exclude",
+        "--jobs",
+        "--to",
+        "--overwrite",
+        "--dry-run",
+        "--fail-under",
+        "--preset",
+        "--config",
+        "--log-json",
+        "--quiet",
+    ),
+)
 @click.argument("archive", type=READ, shell_complete=_complete_archive)
 @click.argument("out", type=WRITTEN, required=False)
 @add_options(*_SELECTION, *_WORK, *_OUTPUTS, *_CHECKS, *_REPORTING)
@@ -456,7 +473,6 @@ def _settings(options: dict[str, Any]) -> BatchSettings:
         "drives",
         "since",
         "limit",
-        "only_failed",
         "jobs",
         "threads",
         "to",
@@ -472,16 +488,15 @@ def _settings(options: dict[str, Any]) -> BatchSettings:
         shard=None if options["shard"] is None else Shard.parse(options["shard"]),
         memory_limit_mib=options["memory_limit"],
         reference=reference,
+        # only prc batch retry sets it
+        only_failed=options.get("only_failed", False),
         **{key: options[key] for key in same},
     )
 
 
 def _engine(options: dict[str, Any], notice: Callable[[str], None]) -> Engine | None:
     """Return the engine; None = this machine."""
-    if (options["engine"] == "dask") != (options["scheduler"] is not None):
-        message = "--engine dask needs --scheduler ADDRESS; start a scheduler with: dask scheduler"
-        raise click.UsageError(message)
-    if options["engine"] == "local":
+    if options["scheduler"] is None:
         return None
     from prc_cli.jobs.batch.dask_engine import DaskEngine
 
@@ -587,7 +602,7 @@ def _write_command(settings: BatchSettings, typed: Sequence[str]) -> None:
 
 def _read_command(path: Path) -> tuple[Path, list[str], dict[str, Any]]:
     """Read the last run: its working folder, its arguments, and its options."""
-    hint = "type the whole command again with --only-failed"
+    hint = "type the whole command again; finished files are skipped"
     try:
         table = json.loads(read_own(path, _MAX_COMMAND))
         folder = Path(table["folder"])

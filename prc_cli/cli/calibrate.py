@@ -40,18 +40,18 @@ _OPTIONS = [
     click.option(
         "-o",
         "--output",
+        "outputs",
+        multiple=True,
         type=WRITTEN,
-        metavar="CONFIG.toml",
-        help="Write the calibrated configuration, with a reason for every value.",
-    ),
-    click.option(
-        "--plot",
-        type=WRITTEN,
-        metavar="FILE.svg",
-        help="Draw the shares of supported shots and of background over the thresholds.",
+        metavar="FILE",
+        help="Write the configuration, with a reason for every value (.toml), or the shares of "
+        "supported shots and of background over the thresholds (.svg). Can be repeated.",
     ),
     click.option("--overwrite", is_flag=True, help="Replace existing outputs."),
 ]
+
+_WRITERS = {".toml": as_toml, ".svg": as_svg}
+"""What is written, by the suffix of an output."""
 
 
 @click.command(cls=Sectioned)
@@ -62,8 +62,7 @@ _OPTIONS = [
 @add_options(*form_options("table", "json", "markdown"), QUIET_FORM)
 def calibrate(
     source: Path,
-    output: Path | None,
-    plot: Path | None,
+    outputs: tuple[Path, ...],
     overwrite: bool,
     quiet: bool,
     **options: Any,
@@ -78,30 +77,29 @@ def calibrate(
 
     \b
     Examples:
-      prc calibrate drive.laz --method prc -o drive.toml --plot drive.svg
+      prc calibrate drive.laz --method prc -o drive.toml -o drive.svg
       prc classify drive.laz out.laz --config drive.toml
     """
     form = form_of(options)
-    if plot is not None and plot.suffix.lower() != ".svg":
-        where = "--plot"
-        raise ConfigError(where, f"found {str(plot)!r}, expected a name that ends in .svg")
+    for path in outputs:
+        if path.suffix.lower() not in _WRITERS:
+            raise ConfigError(str(path), "expected a name that ends in .toml or .svg")
     loaded = config_from(options)
     inputs = (source, *loaded.files)
-    wanted = [path for path in (output, plot) if path is not None]
-    prepare_outputs(*wanted, overwrite=overwrite, inputs=inputs)
+    prepare_outputs(*outputs, overwrite=overwrite, inputs=inputs)
     with line_progress(source.name, quiet=quiet) as progress:
         calibration = calibrate_file(source, loaded, progress=progress)
     with whole_set():
-        for target, text in ((output, as_toml), (plot, as_svg)):
-            if target is not None:
-                with atomic_output(target, overwrite=overwrite) as temporary:
-                    temporary.write_text(text(calibration), encoding="utf-8")
+        for path in outputs:
+            text = _WRITERS[path.suffix.lower()](calibration)
+            with atomic_output(path, overwrite=overwrite) as temporary:
+                temporary.write_text(text, encoding="utf-8")
     if form != "table":
         print_text(as_json(calibration) if form == "json" else as_markdown(calibration))
     elif not quiet:
         _print(calibration)
     if not quiet:
-        for path in wanted:
+        for path in outputs:
             print_line(f"wrote {path}")
     end_with(calibration.doubts)
 

@@ -20,7 +20,7 @@ from prc_cli.cli.options import (
     window_options,
 )
 from prc_cli.cli.output import print_json, print_line
-from prc_cli.cli.paths import WRITTEN, ScanPath
+from prc_cli.cli.paths import WRITTEN, ScanPath, in_folder
 from prc_cli.cli.report import (
     compiling_note,
     end_with,
@@ -42,12 +42,35 @@ FEW_SHOTS = 100
 """The checks and the rate need at least so many shots."""
 
 
-@click.command(cls=Sectioned)
+@click.command(
+    cls=Sectioned,
+    brief=(
+        "--preset",
+        "--config",
+        "--set",
+        "--range",
+        "--points-per-line",
+        "--accept-doubt",
+        "--only",
+        "--confidence",
+        "--reason",
+        "--overwrite",
+        "--json",
+    ),
+)
 @click.argument("sources", metavar="IN...", nargs=-1, required=True, type=ScanPath())
 @click.argument("output", metavar="OUT", type=WRITTEN)
 @stream_options
 @window_options
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
+@click.option(
+    "--confidence",
+    is_flag=True,
+    help="Also write how sure every label is, 1 to 100 (fused, rings).",
+)
+@click.option(
+    "--reason", is_flag=True, help="Also write the number of the rule that gave the label."
+)
 @click.option("--segment-ids", is_flag=True, help="Also write the segment id of every shot.")
 @click.option(
     "--threads",
@@ -84,8 +107,8 @@ def classify(
     OUT is .las or .laz (only the class codes differ from IN), a bag if IN is a bag, or the labels
     alone: .npy, .csv, .parquet. prc records the run in OUT and in OUT.prc.json.
 
-    If you name several files, prc reads them as one drive, in this order. OUT is then a folder with
-    one output per file.
+    If OUT is an existing folder, the output gets the name of IN in it. If you name several files,
+    prc reads them as one drive, in this order. OUT is then a folder with one output per file.
 
     If you name no method, prc chooses one from the input: fused if the beam angles are known, else
     PRC. It prints the method and the reason.
@@ -101,8 +124,13 @@ def classify(
       prc classify plot.laz out.laz --preset fused-forest --range trajectory:plot.csv \\
         --lines time:97 --columns time:414190
     """
-    if segment_ids:
-        options["assignments"] = (*options["assignments"], "output.segment_ids=true")
+    columns = {
+        "output.confidence=true": options.pop("confidence"),
+        "output.reason=true": options.pop("reason"),
+        "output.segment_ids=true": segment_ids,
+    }
+    wanted = (assignment for assignment, is_wanted in columns.items() if is_wanted)
+    options["assignments"] = (*options["assignments"], *wanted)
     loading_s = 0.0
 
     @contextmanager
@@ -133,6 +161,10 @@ def classify(
                 "loading": loading,
             }
             if len(sources) == 1:
+                if output.is_dir():
+                    from prc_cli.jobs.drive import SAME, output_name
+
+                    output = in_folder(output, output_name(source.name, SAME))
                 summaries = [classify_file(source, output, loaded, **common)]
             else:
                 from prc_cli.jobs.drive import classify_drive  # few need it

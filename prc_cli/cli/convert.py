@@ -16,7 +16,7 @@ from prc_cli.cli.options import (
     window_options,
 )
 from prc_cli.cli.output import print_json, print_line
-from prc_cli.cli.paths import WRITTEN, ScanPath
+from prc_cli.cli.paths import WRITTEN, ScanPath, in_folder
 from prc_cli.cli.report import NOT_KEPT, end_with, line_progress, print_assumptions, print_notices
 from prc_cli.jobs.convert import ConversionSummary
 from prc_cli.jobs.convert import convert as convert_file
@@ -54,6 +54,7 @@ def convert(
       prc convert station.e57 station.csv.gz
     """
     loaded = config_from(options)
+    output = in_folder(output, source.name)
     start = time.perf_counter()
     with line_progress(source.name, quiet=quiet) as progress:
         summary = convert_file(source, output, loaded, overwrite=overwrite, progress=progress)

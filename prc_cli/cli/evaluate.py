@@ -29,7 +29,8 @@ from prc_cli.cli.output import console, print_table, print_text, results
 from prc_cli.cli.paths import NAMED, READ, READ_TEXT, WRITTEN
 from prc_cli.core.errors import ConfigError, ExitCode, InputError
 from prc_cli.core.files import atomic_output, open_to_read, prepare_outputs, whole_set
-from prc_cli.core.window import Window, parse_window
+from prc_cli.core.near import did_you_mean
+from prc_cli.core.window import Window, window_of
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.html import as_html, check_picture
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
@@ -205,21 +206,12 @@ _OPTIONS = [
     ),
     *POSES,
     click.option(
-        "--by-range", "split_range_m", metavar="EDGES", help="Split by range [m], e.g. 5,10,20,40."
-    ),
-    click.option(
-        "--by-lines",
-        "split_lines",
-        type=click.IntRange(min=1),
-        metavar="N",
-        help="Split into parts of N scan lines.",
-    ),
-    click.option("--by-scanner", "split_scanner", is_flag=True, help="Split by scanner."),
-    click.option(
-        "--by-confidence",
-        "split_confidence",
-        metavar="EDGES",
-        help="Split by the confidence of the predictions [%], e.g. 50,80,90,95,99.",
+        "--by",
+        "splits",
+        multiple=True,
+        metavar="WHAT",
+        help="Split by range [m] (range:5,10,20,40), by N scan lines (lines:99), by scanner "
+        "(scanner) or by confidence [%] (confidence:50,80,90,95,99). Can be repeated.",
     ),
     click.option(
         "--min-confidence",
@@ -237,13 +229,6 @@ _OPTIONS = [
         "--intervals",
         is_flag=True,
         help="Print confidence intervals of all scores (block jackknife).",
-    ),
-    click.option(
-        "--interval-lines",
-        type=click.IntRange(min=1),
-        default=DEFAULTS.interval_lines,
-        show_default=True,
-        help="Scan lines per block of the jackknife.",
     ),
     *form_options("table", "json", "csv", "markdown", "html"),
     click.option(
@@ -282,7 +267,21 @@ _OPTIONS = [
 ]
 
 
-@click.command(cls=Sectioned)
+@click.command(
+    cls=Sectioned,
+    brief=(
+        "--mapping",
+        "--match",
+        "--max-distance",
+        "--unmatched",
+        "--by",
+        "--intervals",
+        "--fail-under",
+        "--output",
+        "--format",
+        "--overwrite",
+    ),
+)
 @click.argument("paths", metavar="PREDICTED... REFERENCE", nargs=-1, required=True, type=NAMED)
 @add_options(*_OPTIONS)
 @window_options
@@ -406,9 +405,7 @@ def _is_page_wanted(options: Mapping[str, Any]) -> bool:
 
 def _refuse_for_one(options: Mapping[str, Any]) -> None:
     """Refuse options that compare one prediction with the reference."""
-    splits = ("split_range_m", "split_lines", "split_scanner", "split_confidence")
-    flags = {"pairs": "--pair", "third": "--third", "places": "--places"}
-    flags |= {name: f"--by-{name.split('_')[1]}" for name in splits}
+    flags = {"pairs": "--pair", "third": "--third", "places": "--places", "splits": "--by"}
     for name, flag in flags.items():
         if options.get(name):
             problem = "several predicted files, expected one with this option"
@@ -553,11 +550,10 @@ def _how(options: Mapping[str, Any]) -> EvaluateOptions:
         item.name: options[item.name] for item in fields(EvaluateOptions) if item.name in options
     }
     read = {
-        "split_range_m": _edges(options["split_range_m"]),
-        "split_confidence": _per_cents(options["split_confidence"]),
+        **_splits(options["splits"]),
         "height": _heights(options["height"]),
         "mount": numbers(options["mount"], "--mount"),
-        "window": _window(options),
+        "window": _window(options["only"]),
         "places": options["places"] is not None,
         "place_pictures": options["places"] is not None and _is_page_wanted(options),
     }
@@ -583,25 +579,35 @@ def _heights(text: str | None) -> tuple[float, float] | None:
     return low, high
 
 
-_WINDOWS = ("only_lines", "only_time", "first")
-
-
-def _window(options: Mapping[str, Any]) -> Window | None:
-    flags = {
-        f"--{name.replace('_', '-')}": options[f"window_{name.rpartition('_')[2]}"]
-        for name in _WINDOWS
-    }
+def _window(text: str | None) -> Window | None:
     try:
-        return parse_window(*flags.values())
+        return None if text is None else window_of(text)
     except ValueError as error:
-        limits = ", ".join(f"{name} {text}" for name, text in flags.items() if text is not None)
-        raise ConfigError("window", f"found {limits}, expected {error}") from None
+        raise ConfigError("--only", f"found {text!r}, expected {error}") from None
 
 
-def _edges(text: str | None) -> tuple[float, ...]:
+def _splits(texts: Sequence[str]) -> dict[str, Any]:
+    """Read what to split by, as fields of :class:`EvaluateOptions`."""
+    splits: dict[str, Any] = {}
+    for text in texts:
+        kind, _, rest = text.partition(":")
+        if kind == "range":
+            splits["split_range_m"] = _edges(rest)
+        elif kind == "confidence":
+            splits["split_confidence"] = _per_cents(rest)
+        elif kind == "lines" and rest.isdecimal() and int(rest) > 0:
+            splits["split_lines"] = int(rest)
+        elif text == "scanner":
+            splits["split_scanner"] = True
+        else:
+            expected = "range:5,10,20, lines:99, scanner or confidence:50,80,90"
+            hint = did_you_mean(kind, ("range", "lines", "scanner", "confidence"))
+            raise ConfigError("--by", f"found {text!r}, expected {expected}", hint)
+    return splits
+
+
+def _edges(text: str) -> tuple[float, ...]:
     """Read the edges of range bins, e.g. ``5,10,20`` [m]."""
-    if text is None:
-        return ()
     try:
         edges = tuple(float(word) for word in text.split(","))
     except ValueError:
@@ -609,19 +615,17 @@ def _edges(text: str | None) -> tuple[float, ...]:
     rising = all(low < high for low, high in zip((-1.0, *edges), (*edges, math.inf), strict=True))
     if not rising or edges[0] < 0:
         problem = f"found {text!r}, expected increasing ranges in metres, such as 5,10,20,40"
-        raise ConfigError("--by-range", problem)
+        raise ConfigError("--by range", problem)
     return edges
 
 
-def _per_cents(text: str | None) -> tuple[int, ...]:
+def _per_cents(text: str) -> tuple[int, ...]:
     """Read the edges of bins of confidence, e.g. ``50,80,90`` [%]."""
-    if text is None:
-        return ()
     words = [word.strip() for word in text.split(",")]
     edges = tuple(int(word) for word in words if word.isdecimal() and len(word) < 4)
     if len(edges) < len(words) or any(low >= high for low, high in pairwise((-1, *edges, 101))):
         problem = f"found {text!r}, expected increasing percentages, such as 50,80,90,95,99"
-        raise ConfigError("--by-confidence", problem)
+        raise ConfigError("--by confidence", problem)
     return edges
 
 

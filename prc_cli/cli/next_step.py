@@ -62,7 +62,7 @@ def after_classify(source: Path, output: Path, options: dict[str, Any]) -> list[
     # a new cloud has other records than its input
     has_records = not is_cloud(output) or scan.keeps_points(output)
     picture = output.with_name(f"{_stem(output)}.png")
-    if any(options.get(name) for name in ("window_lines", "window_time", "window_first")):
+    if options.get("only"):
         # labels of a part do not fit the whole input, a cloud of a part is complete
         draw = ["prc", "render", typed(output), typed(picture), "--labels", typed(output)]
         return [] if not is_cloud(output) else [f"draw it: {shlex.join(draw)}"]

@@ -10,7 +10,7 @@ One table gives the flags, the sections of the help, the keys and the next steps
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
@@ -24,6 +24,7 @@ from prc_cli.core.config import merge, or_sample, read_toml
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.core.near import did_you_mean, same_name
+from prc_cli.core.window import window_key
 from prc_cli.methods.methods import METHODS
 
 
@@ -246,38 +247,12 @@ SHARED = (
     _option(
         "input",
         "Input",
-        "--metadata",
-        key="input.metadata",
-        type=READ_TEXT,
-        metavar="FILE.json",
-        help="Captures: metadata file of an Ouster sensor.",
-    ),
-    _option(
-        "input",
-        "Input",
-        "--return",
-        "return_",
-        key="input.return",
-        help="Return to use: strongest, first or last.",
-    ),
-    _option(
-        "input",
-        "Input",
         "-M",
         "--points-per-line",
         "points_per_line",
         key="input.points_per_line",
         type=click.IntRange(min=1),
         help="Shots per scan line.",
-    ),
-    _option(
-        "input",
-        "Input",
-        "--max-range",
-        key="input.max_range",
-        type=float,
-        metavar="METRES",
-        help="Longer ranges count as missing.",
     ),
     _option(
         "input",
@@ -303,29 +278,10 @@ SHARED = (
     _option(
         "window",
         "Input",
-        "--only-lines",
-        "window_lines",
-        key="input.only_lines",
-        metavar="A:B",
-        help="Use only lines A to B - 1, counted from 0.",
-    ),
-    _option(
-        "window",
-        "Input",
-        "--only-time",
-        "window_time",
-        key="input.only_time",
-        metavar="A:B",
-        help="Use only the lines from time A to B [s]. +A:+B counts from the first line.",
-    ),
-    _option(
-        "window",
-        "Input",
-        "--first",
-        "window_first",
-        key="input.first",
-        metavar="LENGTH",
-        help="Use only the first 30s, 2min or 500lines.",
+        "--only",
+        metavar="A:B|LENGTH",
+        help="Use only lines A to B - 1 (200:300), the time from A to B (512.5s:542.5s, or "
+        "+10s:+40s from the first line), or the first 30s, 2min or 500lines.",
     ),
     _option(
         "output",
@@ -355,6 +311,8 @@ _OWN_SECTIONS = {
     "outputs": "Output",
     "overwrite": "Output",
     "segment_ids": "Output",
+    "confidence": "Output",
+    "reason": "Output",
     "labels": "Output",
     "threads": "Run",
     "profile": "Run",
@@ -366,8 +324,43 @@ Options without a section are listed first, under "Options".
 _SECTIONS = {option.parameter: option.section for option in SHARED} | _OWN_SECTIONS
 
 
+ALL_OPTIONS = "prc_cli.help.all"
+
+
+def _print_all(ctx: click.Context, parameter: click.Parameter, wanted: bool) -> None:
+    if wanted:
+        ctx.meta[ALL_OPTIONS] = True
+        click.echo(ctx.get_help(), color=ctx.color)
+        ctx.exit()
+
+
 class Sectioned(click.Command):
-    """A command whose options are listed by what they are for."""
+    """A command whose options are listed by what they are for.
+
+    Parameters
+    ----------
+    brief : sequence of str
+        Options that ``--help`` lists; ``--help-all`` lists all. Empty: ``--help`` lists all.
+    """
+
+    def __init__(self, *args: Any, brief: Sequence[str] = (), **attributes: Any) -> None:
+        super().__init__(*args, **attributes)
+        self._brief = frozenset(brief)
+        if brief:
+            all_options = click.Option(
+                ["--help-all"],
+                is_flag=True,
+                is_eager=True,
+                expose_value=False,
+                callback=_print_all,
+                help="Show all options and exit.",
+            )
+            self.params.append(all_options)
+
+    def _is_listed(self, ctx: click.Context, parameter: click.Parameter) -> bool:
+        is_brief = bool(self._brief) and not ctx.meta.get(ALL_OPTIONS)
+        always = {"--help", "--help-all"}
+        return not is_brief or not (self._brief | always).isdisjoint(parameter.opts)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, section by section.
@@ -377,20 +370,27 @@ class Sectioned(click.Command):
         rows: dict[str, list[tuple[str, str]]] = {
             name: [] for name in ("Options", "Method", "Input", "Output", "Run")
         }
+        n_hidden = 0
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx) if isinstance(parameter, click.Option) else None
+            if record is not None and not self._is_listed(ctx, parameter):
+                n_hidden += 1
+                continue
             if record is not None:
-                is_help = "--help" in parameter.opts
+                is_help = not {"--help", "--help-all"}.isdisjoint(parameter.opts)
                 rows["Run" if is_help else _SECTIONS.get(parameter.name or "", "Options")].append(
                     record
                 )
         if not rows["Method"]:
-            super().format_options(ctx, formatter)
-            return
+            joined = [record for records in rows.values() for record in records]
+            rows = {"Options": joined}
         for name, records in rows.items():
             if records:
                 with formatter.section(name):
                     formatter.write_dl(records)
+        if n_hidden:
+            formatter.write_paragraph()
+            formatter.write_text(f"{n_hidden} more options: {ctx.command_path} --help-all")
 
 
 def add_options(*options: Callable[[Any], Any]) -> Callable[[CommandT], CommandT]:
@@ -540,6 +540,9 @@ def layers_from(options: Mapping[str, Any]) -> Layers:
     table = merge(table, table_from(options["assignments"], options, keys))
     if sort_by_time or trust_order:
         table = merge(table, {"input": {"order": "sort-time" if sort_by_time else "trust"}})
+    only = options.get("only")
+    if only is not None:
+        table = merge(table, {"input": {window_key(only): only}})
     path: Path | None = options["config_file"]
     return Layers(
         path and or_sample(path), preset, table, () if layout_file is None else (layout_file,)

@@ -56,11 +56,23 @@ class ScanPath(ReadPath):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the file to read."""
+        if value == STDOUT:
+            message = "- is not a file; prc stream reads from a pipe: prc stream < FILE > LABELS"
+            raise click.UsageError(message, ctx)
         path = super().convert(value, param, ctx)
         source = scan_file(path)
         if source != path:
             will_read(source)
         return source
+
+
+def in_folder(output: Path, name: str) -> Path:
+    """Return the file ``name`` in an output that is an existing folder, as ``cp`` does."""
+    if not output.is_dir():
+        return output
+    inside = output / name
+    will_write(inside)
+    return inside
 
 
 class ReadText(click.types.StringParamType):

@@ -10,14 +10,28 @@ import click
 
 from prc_cli.cli.options import Sectioned, Word, complete_mapping, config_from, stream_options
 from prc_cli.cli.output import print_json, print_line
-from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, ScanPath
+from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, ScanPath, in_folder
 from prc_cli.cli.report import line_progress
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.render import COLOURS, VIEWS, RenderOptions
 from prc_cli.jobs.render import render as render_file
 
 
-@click.command(cls=Sectioned)
+@click.command(
+    cls=Sectioned,
+    brief=(
+        "--html",
+        "--steps",
+        "--only",
+        "--labels",
+        "--reference",
+        "--view",
+        "--colour",
+        "--preset",
+        "--config",
+        "--overwrite",
+    ),
+)
 @click.argument("source", metavar="IN", type=ScanPath())
 @click.argument("output", metavar="[OUT]", type=WRITTEN, required=False)
 @click.option(
@@ -31,7 +45,7 @@ from prc_cli.jobs.render import render as render_file
     metavar="A,B,...",
     help="Pictures to draw, e.g. range,support,classes. Default: prc chooses.",
 )
-@click.option("--only-lines", metavar="A:B", help="Draw only lines A to B - 1, counted from 0.")
+@click.option("--only", metavar="A:B", help="Draw only lines A to B - 1, counted from 0.")
 @click.option(
     "--figure1",
     is_flag=True,
@@ -124,6 +138,7 @@ def render(
     loaded = config_from(options)
     with line_progress(source.name, quiet=quiet) as progress:
         if output is not None:
+            output = in_folder(output, f"{source.stem}.png")
             result = render_file(
                 source, output, loaded, chosen, overwrite=overwrite, progress=progress
             )
@@ -162,7 +177,7 @@ _AS_GIVEN = (
 
 def _render_options(options: dict[str, Any]) -> RenderOptions:
     steps = options["steps"]
-    lines = options["only_lines"]
+    lines = options["only"]
     return RenderOptions(
         steps=None if steps is None else _names(steps),
         hide=_names(options["hide"] or ""),
@@ -180,6 +195,6 @@ def _span(text: str) -> tuple[int, int]:
     first, _, stop = text.partition(":")
     if not (first.strip().isdecimal() and stop.strip().isdecimal()):
         raise ConfigError(
-            "--only-lines", f"found {text!r}, expected A:B, two line numbers such as 200:300"
+            "--only", f"found {text!r}, expected A:B, two line numbers such as 200:300"
         )
     return int(first), int(stop)

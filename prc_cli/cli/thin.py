@@ -11,7 +11,7 @@ import click
 from prc_cli.cli import report
 from prc_cli.cli.options import Sectioned, config_from, output_options, stream_options
 from prc_cli.cli.output import console, print_json, print_line, results, table_of
-from prc_cli.cli.paths import READ, WRITTEN, ScanPath
+from prc_cli.cli.paths import READ, WRITTEN, ScanPath, in_folder
 from prc_cli.cli.report import line_progress, print_assumptions, print_notices
 from prc_cli.jobs.thin import CLASSIFY, ThinningSummary, parse_rules
 from prc_cli.jobs.thin import thin as thin_file
@@ -103,6 +103,8 @@ def thin(
     chosen: Path | str | None = labels
     if labels is None and classify:
         chosen = CLASSIFY
+    if source.is_file():
+        output = in_folder(output, source.name)
     start = time.perf_counter()
     with line_progress(source.name, quiet=quiet) as progress:
         summary = thin_file(

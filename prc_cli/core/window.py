@@ -18,7 +18,7 @@ class Window:
     """Lines or seconds ``first`` to ``stop`` (exclusive) of a stream, for every scanner."""
 
     option: str
-    """As it is typed: ``--only-lines 5:9``."""
+    """As it is typed: ``--only 5:9``."""
     in_lines: bool
     """Line numbers, from 0; otherwise times [s]."""
     first: float = -math.inf
@@ -48,13 +48,33 @@ def parse_window(only_lines: str | None, only_time: str | None, first: str | Non
     return None if first is None else _window_of_first(first)
 
 
+def window_key(text: str) -> str:
+    """Return the key of ``[input]`` that a window belongs to, by its form.
+
+    >>> [window_key(text) for text in ("200:300", "+10s:+40s", "512.5:", "30s")]
+    ['only_lines', 'only_time', 'only_time', 'first']
+    """
+    if ":" not in text:
+        return "first"
+    return "only_lines" if _LINES.fullmatch(text.strip()) else "only_time"
+
+
+def window_of(text: str) -> Window:
+    """Read a window of any form."""
+    window = parse_window(
+        **{"only_lines": None, "only_time": None, "first": None, window_key(text): text}
+    )
+    assert window is not None
+    return window
+
+
 def _window_of_lines(text: str) -> Window:
     match = _LINES.fullmatch(text.strip())
     expected = "A:B, lines A to B - 1 counted from 0, such as 200:300, 200: or :300"
     if match is None:
         raise ValueError(expected)
     low, high = match.groups()
-    window = Window(f"--only-lines {text}", True, float(low or 0), float(high or math.inf))
+    window = Window(f"--only {text}", True, float(low or 0), float(high or math.inf))
     if window.first >= window.stop:
         raise ValueError(expected)
     return window
@@ -70,7 +90,7 @@ def _window_of_times(text: str) -> Window:
         raise ValueError(expected)
     plus, low, low_unit, other_plus, high, high_unit = match.groups()
     window = Window(
-        f"--only-time {text}",
+        f"--only {text}",
         False,
         -math.inf if low is None else float(low) * _SECONDS[low_unit or "s"],
         math.inf if high is None else float(high) * _SECONDS[high_unit or "s"],
@@ -90,5 +110,5 @@ def _window_of_first(text: str) -> Window:
         expected = "a length with its unit, such as 30s, 2min or 500lines"
         raise ValueError(expected)
     if in_lines:
-        return Window(f"--first {text}", True, 0.0, size)
-    return Window(f"--first {text}", False, 0.0, size * _SECONDS[match.group(2)], True, True)
+        return Window(f"--only {text}", True, 0.0, size)
+    return Window(f"--only {text}", False, 0.0, size * _SECONDS[match.group(2)], True, True)

@@ -138,7 +138,7 @@ def refuse_poor_match(
     )
     usual_hint = (
         "give two label files of the same stream (LAS has no missing shots); "
-        "for a part of it: --match time, --only-lines, --only-time or --first"
+        "for a part of it: --match time or --only"
     )
     raise InputError(predicted_name, problem, hint or usual_hint)
 

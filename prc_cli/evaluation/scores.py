@@ -227,9 +227,7 @@ def block_intervals(
     n = len(blocks)
     if n < 2:
         problem = f"intervals need at least 2 blocks with scored pairs, found {n}"
-        raise InputError(
-            "intervals", problem, "make the blocks shorter with --interval-lines, or give -M"
-        )
+        raise InputError("intervals", problem, "give -M, or compare more lines")
     names = (reference_names, predicted_names)
     total = blocks.sum(axis=0)
     n_at_once = max(1, _AT_ONCE // total.size)

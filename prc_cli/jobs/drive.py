@@ -87,7 +87,7 @@ def classify_drive(
     if config.config.input.window is not None:
         raise ConfigError(
             "input",
-            "a window (--only-lines, --only-time, --first) needs a single file",
+            "a window (--only) needs a single file",
             "leave it out",
         )
     scans = [Input.of(part) for part in parts]

@@ -192,5 +192,5 @@ def no_times(path: str, window: Window) -> InputError:
     problem = (
         f"found neither times of the shots nor a line frequency, expected them for {window.option}"
     )
-    hint = "give lines instead, --first 500lines or --only-lines A:B, or [layout] line_frequency"
+    hint = "give lines instead, --only 500lines or --only 200:300, or [layout] line_frequency"
     return InputError(path, problem, hint)

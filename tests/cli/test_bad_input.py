@@ -88,7 +88,7 @@ def test_a_message_has_a_line_for_the_fault_the_reason_and_the_hint(
     monkeypatch.chdir(tmp_path)
     write_npz(tmp_path / "drive.npz", street())
     with pytest.raises(SystemExit):
-        main(["classify", "drive.npz", "."])
+        main(["simulate", "street", "."])
     message = "error: .: is a folder\n  expected a file name\n  hint: name the file inside it\n"
     assert capsys.readouterr().err == message
 
@@ -150,7 +150,8 @@ def test_a_file_that_laspy_refuses_is_classified_and_doubted(
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
 @pytest.mark.parametrize(
-    ("option", "name"), [("--config", "x.toml"), ("--layout", "x.toml"), ("--metadata", "x.json")]
+    ("option", "name"),
+    [("--config", "x.toml"), ("--layout", "x.toml"), ("--set", "x.json")],
 )
 def test_settings_are_regular_files(
     prc: Prc,
@@ -160,11 +161,12 @@ def test_settings_are_regular_files(
 ) -> None:
     os.mkfifo(tmp_path / name)
     drive = write_raw(tmp_path / "drive.bin", street())
-    if option == "--metadata":
+    if option == "--set":
         shutil.copyfile(drive, drive := tmp_path / "drive.pcap")
     for path in (tmp_path / name, Path("/dev/zero")):
-        result = prc("info", drive, option, path)
-        assert (result.code, result.out) == (1 if option == "--metadata" else 2, "")
+        typed = f"input.metadata={path}" if option == "--set" else path
+        result = prc("info", drive, option, typed)
+        assert (result.code, result.out) == (1 if option == "--set" else 2, "")
         assert f"{path}: cannot be read" in result.err
         assert "is no regular file" in result.err
 
@@ -241,10 +243,10 @@ CASES = [
         "--json and --format csv contradict each other",
     ),
     ("explain drive.npz --at here", 2, "found 'here', expected LINE,COLUMN, counted from 0"),
-    ("classify drive.npz o.npy --only-lines x:y", 2, "A:B, lines A to B - 1 counted from 0"),
-    ("classify drive.npz o.npy --only-lines 30:20", 2, "A:B, lines A to B - 1 counted from 0"),
+    ("classify drive.npz o.npy --only x:y", 2, "in the stream's own seconds"),
+    ("classify drive.npz o.npy --only 30:20", 2, "A:B, lines A to B - 1 counted from 0"),
     (
-        "classify drive.npz o.npy --first 5parsecs",
+        "classify drive.npz o.npy --only 5parsecs",
         2,
         "a length with its unit, such as 30s, 2min or 500lines",
     ),

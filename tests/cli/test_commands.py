@@ -50,8 +50,8 @@ def test_options_reach_the_classifier(prc: Prc, tmp_path: Path) -> None:
         "--set",
         "prc.support.zeta_p=0.25",
         "--segment-ids",
-        "--max-range",
-        "80",
+        "--set",
+        "input.max_range=80",
         "--layout",
         layout,
     ]
@@ -458,7 +458,7 @@ def test_outputs_are_whole_or_not_there(prc: Prc, tmp_path: Path) -> None:
 def test_wrong_options(prc: Prc, tmp_path: Path) -> None:
     source = write_npz(tmp_path / "street.npz", street())
     for options, message in (
-        (["--plot", tmp_path / "curves.png"], "ends in .svg"),
+        (["-o", tmp_path / "curves.png"], "ends in .svg"),
         (["--json", "--format", "markdown"], "contradict"),
     ):
         result = prc("calibrate", source, *options)

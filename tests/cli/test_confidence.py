@@ -42,7 +42,7 @@ def values(path: Path) -> np.ndarray:
 def test_evaluate_tells_how_reliable_it_is(prc: Prc, folder: Path) -> None:
     labels = classified(prc, folder, ".csv")
     command = ("evaluate", labels, folder / "truth.npy", "--mapping", "street")
-    shown = prc(*command, "--by-confidence", "50,90,99")
+    shown = prc(*command, "--by", "confidence:50,90,99")
     assert shown.code == 0
     for text in (
         "by confidence",
@@ -52,7 +52,7 @@ def test_evaluate_tells_how_reliable_it_is(prc: Prc, folder: Path) -> None:
         "of the 90 % with the most",
     ):
         assert text in shown.out
-    evaluation = json.loads(prc(*command, "--by-confidence", "50,90,99", "--json").out)
+    evaluation = json.loads(prc(*command, "--by", "confidence:50,90,99", "--json").out)
     sure = values(labels)
     parts = evaluation["splits"]["confidence"]
     assert [part["low"] for part in parts] == [0, 50, 90, 99]
@@ -71,7 +71,7 @@ def test_evaluate_without_it(prc: Prc, folder: Path) -> None:
     assert "no confidence in" in result.err
     assert "output.confidence=true" in result.err
     result = prc(
-        "evaluate", folder / "labels.npy", folder / "truth.npy", "--by-confidence", "90,80"
+        "evaluate", folder / "labels.npy", folder / "truth.npy", "--by", "confidence:90,80"
     )
     assert (result.code, "expected increasing percentages" in result.err) == (2, True)
 

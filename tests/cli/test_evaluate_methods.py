@@ -114,7 +114,7 @@ def test_names_come_from_records_names_and_files(prc: Prc, table_i: Path, tmp_pa
     assert f"NAME={files[1]}" in twice.err
 
 
-@pytest.mark.parametrize("option", [("--third", "car.npy"), ("--by-range", "5,10")])
+@pytest.mark.parametrize("option", [("--third", "car.npy"), ("--by", "range:5,10")])
 def test_options_for_one_prediction_are_refused(
     prc: Prc, table_i: Path, option: tuple[str, str]
 ) -> None:

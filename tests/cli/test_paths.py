@@ -32,10 +32,7 @@ NO_PATHS = {
     "--columns",
     "--scanner",
     "--topic",
-    "--return",
-    "--only-lines",
-    "--only-time",
-    "--first",
+    "--only",
     "--steps",
     "--labels-dimension",
     "--reference-dimension",
@@ -45,8 +42,7 @@ NO_PATHS = {
     "--match",
     "--height",
     "--mount",
-    "--by-range",
-    "--by-confidence",
+    "--by",
     "--fail-under",
     "--include",
     "--exclude",
@@ -103,7 +99,7 @@ def test_there_are_pairs_to_try() -> None:
     assert {
         ("classify", "output"),
         ("batch", "log_json"),
-        ("calibrate", "plot"),
+        ("calibrate", "outputs"),
         ("evaluate", "outputs"),
     } <= tried
     assert len(PAIRS) > 100

@@ -1,4 +1,4 @@
-"""A window of a drive: --only-lines, --only-time, --first."""
+"""A window of a drive: --only."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ URBAN = ("--preset", "prc-2019-urban", "-q", "--overwrite")
 @pytest.mark.parametrize("name", ["d.npz", "d.laz", "d.csv", "d.ply"])
 @pytest.mark.parametrize(
     "window",
-    [("--only-lines", "13:41"), ("--only-time", "1001.3:1004.1"), ("--only-time", "+1.28:+4.08")],
+    [("--only", "13:41"), ("--only", "1001.3:1004.1"), ("--only", "+1.28:+4.08")],
 )
 def test_a_window_is_a_drive_of_its_own(
     prc: Prc,
@@ -68,7 +68,7 @@ def test_las_holds_the_records_of_the_window_alone(prc: Prc, folder: Path) -> No
     source = laspy.read(folder / "d.laz")
     inside = (source.scan_line >= 13) & (source.scan_line < 41)
     for output in ("w.laz", "w.las"):
-        result = prc("classify", folder / "d.laz", folder / output, "--only-lines", "13:41", *URBAN)
+        result = prc("classify", folder / "d.laz", folder / output, "--only", "13:41", *URBAN)
         assert result.code == 0, result.err
         cloud = laspy.read(folder / output)
         assert cloud.header.point_count == np.count_nonzero(inside)
@@ -81,20 +81,17 @@ def test_las_holds_the_records_of_the_window_alone(prc: Prc, folder: Path) -> No
         assert cloud.header.number_of_points_by_return[0] == np.count_nonzero(
             cloud.return_number == 1
         )
-    assert (
-        prc("classify", folder / "d.laz", folder / "w.npy", "--only-lines", "13:41", *URBAN).code
-        == 0
-    )
+    assert prc("classify", folder / "d.laz", folder / "w.npy", "--only", "13:41", *URBAN).code == 0
     assert np.array_equal(laspy.read(folder / "w.laz").classification, np.load(folder / "w.npy"))
     repeated = prc(
-        "classify", folder / "d.laz", folder / "w.laz", "--only-lines", "13:41", "--overwrite"
+        "classify", folder / "d.laz", folder / "w.laz", "--only", "13:41", "--overwrite"
     ).err
     assert "draw it: prc render" in repeated
     assert f"--labels {folder / 'w.laz'}" in " ".join(repeated.split())
     assert "compare it" not in repeated
     # codes above 31 make the point format a larger one; segment ids are appended
     result = prc(
-        "classify", folder / "d.laz", folder / "s.laz", "--first", "2s", "--segment-ids", *URBAN
+        "classify", folder / "d.laz", folder / "s.laz", "--only", "2s", "--segment-ids", *URBAN
     )
     assert result.code == 0, result.err
     assert laspy.read(folder / "s.laz").header.point_count == np.count_nonzero(
@@ -107,13 +104,13 @@ def test_convert_writes_the_window(prc: Prc, folder: Path) -> None:
     source = laspy.read(folder / "d.laz")
     inside = (source.scan_line >= 20) & (source.scan_line < 30)
     result = prc(
-        "convert", folder / "d.laz", folder / "c.las", "--only-time", "+1.98:+2.98", "--overwrite"
+        "convert", folder / "d.laz", folder / "c.las", "--only", "+1.98:+2.98", "--overwrite"
     )
     assert result.code == 0, result.err
     cloud = laspy.read(folder / "c.las")
     assert np.array_equal(cloud.points.array, source.points.array[inside])
     assert "only lines 20 to 29 were taken" in result.err
-    result = prc("convert", folder / "d.csv", folder / "c.csv", "--first", "50lines", "--overwrite")
+    result = prc("convert", folder / "d.csv", folder / "c.csv", "--only", "50lines", "--overwrite")
     assert "only lines 0 to 49 were taken" in result.err
     for name in ("c.csv", "c.npz"):
         assert (
@@ -121,7 +118,7 @@ def test_convert_writes_the_window(prc: Prc, folder: Path) -> None:
                 "convert",
                 folder / "d.laz",
                 folder / name,
-                "--only-lines",
+                "--only",
                 "20:30",
                 "--overwrite",
                 "-q",
@@ -143,7 +140,7 @@ def test_commands_that_take_files_whole_refuse(
         command[0], source, output, "--preset", "prc-2019-urban", "--set", "input.first=2s"
     )
     assert result.code == 2
-    assert "found --first 2s, but prc" in result.err
+    assert "found --only 2s, but prc" in result.err
 
 
 def test_evaluate_scores_the_window(prc: Prc, folder: Path) -> None:
@@ -153,24 +150,24 @@ def test_evaluate_scores_the_window(prc: Prc, folder: Path) -> None:
     since = source.gps_time - source.gps_time[0]
     command = ("evaluate", folder / "e.laz", folder / "e.laz")
     for window, inside in (
-        (("--only-lines", "20:50"), lines),
-        (("--only-time", "+2:+5"), (since >= 2) & (since < 5)),
+        (("--only", "20:50"), lines),
+        (("--only", "+2:+5"), (since >= 2) & (since < 5)),
     ):
         result = prc(*command, *window, "--json")
         assert result.code == 0, result.err
         assert json.loads(result.out)["n_scored"] == np.count_nonzero(inside)
-    result = prc(*command, "--only-lines", "20:50", "--by-lines", "10", "--json")
+    result = prc(*command, "--only", "20:50", "--by", "lines:10", "--json")
     assert [part["name"] for part in json.loads(result.out)["splits"]["lines"]] == [
         "lines 20-29",
         "lines 30-39",
         "lines 40-49",
     ]
-    assert prc(*command, "--only-lines", "200:").code == 1
+    assert prc(*command, "--only", "200:").code == 1
     labels = folder / "e.npy"
     np.save(labels, np.full(N_LINES * M, 2, np.uint8))
-    assert prc("evaluate", labels, labels, "--first", "2s").code == 2
+    assert prc("evaluate", labels, labels, "--only", "2s").code == 2
     assert (
-        json.loads(prc("evaluate", labels, labels, "-M", M, "--first", "5lines", "--json").out)[
+        json.loads(prc("evaluate", labels, labels, "-M", M, "--only", "5lines", "--json").out)[
             "n_scored"
         ]
         == 5 * M

@@ -88,7 +88,7 @@ def _kill_one(
     options: tuple[str, ...] = ()
     if machines is not None:
         machines.start()
-        options = ("--engine", "dask", "--scheduler", machines.address)
+        options = ("--scheduler", machines.address)
     batch = Batch(archive.folder, out, archive.config, *options, jobs=rng.choice([1, 2, 2, 3]))
     for _ in moments(rng, archive, out, batch):
         struck = {

@@ -123,8 +123,8 @@ READ: tuple[tuple[str, ...], ...] = (
     ),
     ("evaluate", "{case}", "{case}"),
     ("evaluate", "{case}", "{case}", "--match", "nearest", "--tolerance", "0.1"),
-    ("evaluate", "{case}", "{case}", "--match", "time", "--tolerance", "0.1", "--by-range", "5,10"),
-    ("evaluate", "{case}", "{case}", "-M", "24", "--by-lines", "4", "--intervals"),
+    ("evaluate", "{case}", "{case}", "--match", "time", "--tolerance", "0.1", "--by", "range:5,10"),
+    ("evaluate", "{case}", "{case}", "-M", "24", "--by", "lines:4", "--intervals"),
     ("thin", "{case}", "{out}/o.npz", "--keep", "ground=1/4", *_P),
     ("render", "{case}", "{out}/o.png", *_P, *_SMALL),
     ("render", "{case}", "{out}/o.png", *_P, *_SMALL, "--view", "top", "--range", "sensor-xyz"),
@@ -165,14 +165,14 @@ RECORDED = (
     ("info", "{case}"),
     ("info", "--json", "{case}", "--method", "fused", "--trust-order"),
     ("classify", "{case}", "{out}/o.npy", *_P),
-    ("classify", "-v", "{case}", "{out}/o.laz", *_P, "--return", "last"),
+    ("classify", "-v", "{case}", "{out}/o.laz", *_P, "--set", "input.return=last"),
     ("classify", "{case}", "{out}/o.csv", "--method", "sequential-angle", "--trust-order"),
     ("convert", "{case}", "{out}/o.npz", "--trust-order"),
     ("convert", "{case}", "{out}/o.las", "--trust-order"),
     ("render", "{case}", "{out}/o.png", *_P, *_SMALL),
 )
 """Commands for bags and captures, which hold their lines and columns."""
-_META = ("--metadata", "{seeds}/ouster.json")
+_META = ("--set", "input.metadata={seeds}/ouster.json")
 
 
 @dataclass(frozen=True)
@@ -241,7 +241,7 @@ TARGETS: dict[str, Target] = {
     "metadata": Target(
         ("ouster.json",),
         tuple(
-            (one[0], "{seeds}/ouster.pcap", *one[2:], "--metadata", "{case}")
+            (one[0], "{seeds}/ouster.pcap", *one[2:], "--set", "input.metadata={case}")
             for one in (
                 ("info", ""),
                 ("classify", "", "{out}/o.npy", *_P),

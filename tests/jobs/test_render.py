@@ -146,7 +146,7 @@ def test_the_headline_names_the_scanner_of_several(tmp_path: Path) -> None:
         (
             "urban",
             {"view": "top", "lines": (0, 5)},
-            "--only-lines: belongs to the scan view, found --view top",
+            "--only: belongs to the scan view, found --view top",
         ),
     ],
 )

@@ -382,7 +382,9 @@ class _TopicReader:
         )
         if topic.kind in OUSTER and self._metadata is None:
             raise InputError(
-                self._where, "packets of an Ouster need its metadata", "give --metadata FILE.json"
+                self._where,
+                "packets of an Ouster need its metadata",
+                "give --set input.metadata=FILE.json",
             )
         for time_s, data in packets:
             if not is_scan(data, self._metadata):

@@ -278,7 +278,10 @@ class PacketStream:
             )
         problem += ", expected Velodyne, Ouster or Hesai"
         if any(port == _USUAL_OUSTER or size > 3000 for port, size in self._others):
-            return problem, "packets of an Ouster need its metadata: give --metadata FILE.json"
+            return (
+                problem,
+                "packets of an Ouster need its metadata: give --set input.metadata=FILE.json",
+            )
         return problem, "capture the data port of the scanner"
 
     def blocks(self) -> Iterator[ScanBlock]:

@@ -159,7 +159,10 @@ def _libraries(where: str) -> tuple[Any, Any]:
 
 
 def _hdl64(where: str, calibration: Path | None) -> Model:
-    hint = "give --metadata FILE.yml; velodyne_decoder.hdl64e reads it from a capture of a minute"
+    hint = (
+        "give --set input.metadata=FILE.yml; "
+        "velodyne_decoder.hdl64e reads it from a capture of a minute"
+    )
     if calibration is None:
         raise InputError(
             where, "packets of a Velodyne HDL-64E need the calibration of the unit", hint

@@ -505,7 +505,7 @@ def _plan(
     if CONFIDENCE in columns and CONFIDENCE not in left_has:
         problem = f"no confidence in {left.path}, expected a dimension or column of this name"
         hint = "classify again with --set output.confidence=true, to .las, .laz, .csv or .parquet"
-        raise ConfigError("--by-confidence, --min-confidence", problem, hint)
+        raise ConfigError("--by confidence, --min-confidence", problem, hint)
     shared = {RANGE}.intersection(left_has, right_has) if options.match == "cell" else set()
     predicted = [name for name in {**columns, **dict.fromkeys(shared)} if name in left_has]
     only_right = [name for name in columns if name not in left_has and name in right_has]

@@ -216,7 +216,7 @@ def draw_cloud(
 def _check_options(options: RenderOptions) -> None:
     for name, value in (
         ("--steps", options.steps),
-        ("--only-lines", options.lines),
+        ("--only", options.lines),
         ("--figure1", options.figure1 or None),
     ):
         if value is not None:

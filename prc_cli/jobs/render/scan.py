@@ -352,7 +352,7 @@ def choose_part(options: RenderOptions, loaded: LoadedConfig, stream: ScanStream
         first, stop = options.lines
         if not 0 <= first < stop or first >= n_lines:
             problem = f"found {first}:{stop}, expected A:B within 0:{n_lines} and A below B"
-            raise ConfigError("--only-lines", problem)
+            raise ConfigError("--only", problem)
         return Part(first, min(stop, n_lines), n_lines, scanner)
     return Part(0, n_lines, n_lines, scanner)
 

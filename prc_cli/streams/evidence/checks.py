@@ -211,7 +211,7 @@ def check_returns(seen: Seen) -> Finding | None:
         return None
     share = 1 - seen.n_missing / seen.n_shots
     measured = f"{share:.2%} of the shots have a range"
-    hint = "check --range, --max-range, the layout, and --columns and -M"
+    hint = "check --range, input.max_range, the layout, and --columns and -M"
     return Finding(
         "returns",
         verdict_of(doubtful=share < LEAST_RETURNS),
@@ -261,7 +261,7 @@ def check_missing_code(seen: Seen) -> Finding | None:
     is_code = (
         CODED < share < NOTHING_ELSE and len(others) > 0 and longest > 2 * float(np.median(others))
     )
-    option = f"--max-range {np.nextafter(np.float32(longest), np.float32(0)):.9g}"
+    option = f"--set input.max_range={np.nextafter(np.float32(longest), np.float32(0)):.9g}"
     hint = (
         f"if it means no return: {option}; else the scene is larger than the range of the scanner"
     )

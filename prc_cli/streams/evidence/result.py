@@ -420,7 +420,7 @@ def _along(
         start = int(sample.line[first * STRETCH_LINES])
         stop = int(sample.line[(first + length + LONG_STRETCHES - 1) * STRETCH_LINES - 1]) + 1
         shown = f"{start}:{min(start + 500, stop)}"
-        hint = f"to see these lines: prc render IN OUT.png --only-lines {shown}"
+        hint = f"to see these lines: prc render IN OUT.png --only {shown}"
         yield Finding(
             "classes-along", verdict, f"{said} in lines {start} to {stop}", expected, hint
         )

@@ -164,8 +164,8 @@ def test_what_cannot_be_read_is_said_in_one_line(tmp_path: Path) -> None:
     table, packets = made.ouster()
     path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets, 7502))
     for words, expected in (
-        ((), "needs its metadata|need its metadata: give --metadata FILE.json"),
-        (("--metadata", str(tmp_path / "no.json")), "cannot be read as JSON"),
+        ((), "needs its metadata|need its metadata: give --set input.metadata=FILE.json"),
+        (("--set", f"input.metadata={tmp_path / 'no.json'}"), "cannot be read as JSON"),
     ):
         result = runner().invoke(cli, ["info", str(path), *words])
         assert result.exit_code == 1
@@ -203,7 +203,7 @@ def test_what_cannot_be_read_is_said_in_one_line(tmp_path: Path) -> None:
         ),
         (
             made.velodyne(3, 0x40),
-            r"HDL-64E need the calibration of the unit; give --metadata FILE.yml",
+            r"HDL-64E need the calibration of the unit; give --set input.metadata=FILE.yml",
         ),
         (
             made.hesai("XT32M", mode=0x3D)[0],

@@ -446,8 +446,6 @@ def test_ctrl_c_on_a_terminal(machines: Machines, tmp_path: Path) -> None:
         "batch",
         str(tmp_path / "in"),
         str(tmp_path / "out"),
-        "--engine",
-        "dask",
         "--scheduler",
         machines.address,
         *(word for name in CHECK_NAMES for word in ("--accept-doubt", name)),

@@ -263,7 +263,7 @@ def test_returns(
     assert verdict_of_counts(check_returns(counted(n_shots=n_shots, n_missing=n_missing))) == (
         verdict,
         f"returns: {share} of the shots have a range, expected at least 2%; check --range, "
-        "--max-range, the layout, "
+        "input.max_range, the layout, "
         "and --columns and -M",
     )
     assert check_returns(counted(n_shots=99, n_missing=99)) is None
@@ -275,7 +275,7 @@ def test_returns(
 )
 def test_the_largest_range_as_a_code(n: int, usual_m: float, verdict: Verdict) -> None:
     finding = check_missing_code(counted(np.where(np.arange(1000) < n, 100.0, usual_m)))
-    option = "--max-range 99.9999924"
+    option = "--set input.max_range=99.9999924"
     assert verdict_of_counts(finding) == (
         verdict,
         f"missing-code: {n / 10:.1f}% of the ranges are 100 m, the largest of all, "

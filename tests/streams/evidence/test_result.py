@@ -131,7 +131,7 @@ def test_ground_that_vanishes(preset: str, lines: tuple[int, int], is_fine: bool
         )
         assert abs(first - lines[0]) <= 32
         assert abs(last - lines[1]) <= 32
-        assert f"--only-lines {first}:" in findings["classes-along"].hint
+        assert f"--only {first}:" in findings["classes-along"].hint
 
 
 def test_level_surfaces_below_and_above_leave_it_open_where_up_is() -> None:
