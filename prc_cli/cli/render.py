@@ -86,19 +86,6 @@ from prc_cli.jobs.render import render as render_file
     show_default=True,
     help="Largest width of a picture [pixels].",
 )
-@click.option(
-    "--shots",
-    type=click.IntRange(1_000, 20_000_000),
-    default=1_500_000,
-    show_default=True,
-    help="Largest number of shots in the page of --html.",
-)
-@click.option(
-    "--line-spacing",
-    type=click.FloatRange(0, min_open=True),
-    metavar="METRES",
-    help="Distance between lines in the page of --html, if there is no trajectory.",
-)
 @stream_options
 @click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was drawn as JSON on stdout.")
@@ -170,7 +157,6 @@ _AS_GIVEN = (
     "mapping",
     "colour",
     "width",
-    "shots",
 )
 """Options of the command that :class:`RenderOptions` has under the same name."""
 
@@ -182,7 +168,6 @@ def _render_options(options: dict[str, Any]) -> RenderOptions:
         steps=None if steps is None else _names(steps),
         hide=_names(options["hide"] or ""),
         lines=None if lines is None else _span(lines),
-        line_spacing_m=options["line_spacing"],
         **{name: options[name] for name in _AS_GIVEN},
     )
 

@@ -167,7 +167,7 @@ class _Placer:
 XYZ = ("x", "y", "z")
 SPEED_M_S = 8.0
 WALK_M_S = 1.2
-"""Assumed speeds in streets and forests, without a trajectory and ``--line-spacing``."""
+"""Assumed speeds in streets and forests, without a trajectory."""
 _FIRST_LINES = 64
 """Number of lines for the estimate of the line frequency."""
 

@@ -19,15 +19,11 @@ def drive(tmp_path: Path) -> Path:
 
 
 def test_a_page_to_look_into(prc: Prc, drive: Path, tmp_path: Path) -> None:
-    result = prc(
-        "render", drive, "--html", tmp_path / "a.html", "--shots", 5000, "--hide", "noise", "--json"
-    )
+    result = prc("render", drive, "--html", tmp_path / "a.html", "--hide", "noise", "--json")
     assert result.code == 0, result.err
     record = json.loads(result.out)
     assert record["files"] == [str(tmp_path / "a.html")]
-    assert record["thinned_by"] != [1, 1]
-    assert "drive.npz · preset fused · all 137 lines · 1 line of " in result.err
-    assert "note: The page holds " in result.err
+    assert "drive.npz · preset fused · all 137 lines" in result.err
     page = (tmp_path / "a.html").read_text(encoding="utf-8")
     assert "<h1>drive.npz</h1>" in page
     assert "http://" not in page

@@ -79,11 +79,6 @@ class RenderOptions:
     """Widest picture without frame [pixels]."""
     shots: int = 1_500_000
     """Most shots of a viewer page; of longer scans every n-th line and column is kept."""
-    line_spacing_m: float | None = None
-    """Distance of scan lines in a viewer page, if the input has no coordinates [m].
-
-    None = assumed.
-    """
     trajectory: Path | None = None
     """Poses that place the shots of a viewer page.
 

@@ -325,15 +325,8 @@ def _shots(
     )
     config = loaded.config
     in_forest = (config.fused if config.method == "fused" else config.prc).environment == "forest"
-    spacing_m = options.line_spacing_m
-    assumed = ""
-    if spacing_m is None:
-        spacing_m, assumed = spacing(
-            stream.info, values.get("time"), in_forest=in_forest, step=step[0]
-        )
-    distance = f"{spacing_m:.2g} m apart"
-    if assumed:
-        distance += f" ({assumed}; --line-spacing tells it)"
+    spacing_m, assumed = spacing(stream.info, values.get("time"), in_forest=in_forest, step=step[0])
+    distance = f"{spacing_m:.2g} m apart" + (f" ({assumed})" if assumed else "")
     notice = f"The input has no trajectory: its lines are drawn one behind the other, {distance}."
     beam_rad = None if kept.beam_rad is None else kept.beam_rad[:: step[1]]
     xyz_m, is_measured = _place(range_m, beam_rad, (file_m, sensor_m), spacing_m * step[0], seen)
@@ -342,7 +335,7 @@ def _shots(
         n_all = (kept.part.stop - kept.part.first) * stream.info.points_per_line
         notes.append(
             f"The page holds {classes.size:,} of {n_all:,} shots, {thinned(step)}; "
-            "--shots sets the most."
+            "--only-lines A:B shows a part of them in full."
         )
     order = upright(beam_rad)
     left_out = sorted(words.table.hidden | words.noise)
