@@ -213,9 +213,8 @@ def reasons_page() -> str:
         # Reasons
 
         The rule that gave a shot its class, as `--set output.reason=true` writes it beside the
-        class: uint8 extra bytes `reason`, or a column. The number modulo 16 is the class inside the
-        program, so numbers never move to another class. `prc explain` and the viewer say the
-        sentence of a shot; [Why this class?](../explain.md).
+        class: uint8 extra bytes `reason`, or a column. Version 2.0 numbered the rules anew.
+        `prc explain` and the viewer say the sentence of a shot; [Why this class?](../explain.md).
 
         | number | class | rule | the shot is |
         |---:|---|---|---|

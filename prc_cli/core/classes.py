@@ -33,75 +33,157 @@ class Label(IntEnum):
     POLE = 11
 
 
-LABEL_BITS = 15
-"""``reason & LABEL_BITS`` is the label of a reason."""
-
-
 class Reason(IntEnum):
-    """Rule that gave a shot its label, ``16 k + label`` with k from 1.
+    """Rule that gave a shot its label.
 
-    :mod:`prc_cli.methods.reasons` has a sentence for each.
+    :data:`REASONS_OF_LABELS` has the label of each, :mod:`prc_cli.methods.reasons` a sentence. A
+    new reason gets the next number: those in files keep their meaning.
     """
 
     MISSING = 0
-    BEYOND_REACH = 1 << 4 | Label.UNCLASSIFIED
-    UNDECIDED = 2 << 4 | Label.UNCLASSIFIED
-    SMALL = 3 << 4 | Label.UNCLASSIFIED
-    UNSUPPORTED = 1 << 4 | Label.NOISE
-    LONELY = 2 << 4 | Label.NOISE
-    ISOLATED = 3 << 4 | Label.NOISE
-    SPIKE = 4 << 4 | Label.NOISE
-    BELOW_GROUND = 5 << 4 | Label.NOISE
-    BEHIND_WALL = 6 << 4 | Label.NOISE
-    IN_CAR = 7 << 4 | Label.NOISE
-    FAR_BELOW = 10 << 4 | Label.NOISE
-    ALONE = 11 << 4 | Label.NOISE
-    FLAKE = 12 << 4 | Label.NOISE
-    MOST_SMOOTH = 1 << 4 | Label.GROUND
-    GROUND_COLUMN = 2 << 4 | Label.GROUND
-    GROUND_HEIGHT = 3 << 4 | Label.GROUND
-    WALKED = 4 << 4 | Label.GROUND
-    LEVEL_LOW = 5 << 4 | Label.GROUND
-    LOW = 6 << 4 | Label.GROUND
-    SOIL = 7 << 4 | Label.GROUND
-    FLAT = 8 << 4 | Label.GROUND
-    SURFACE = 9 << 4 | Label.GROUND
-    OTHER_SEGMENT = 1 << 4 | Label.BUILDING
-    SMOOTH = 2 << 4 | Label.BUILDING
-    FACADE = 3 << 4 | Label.BUILDING
-    THIN_SMOOTH = 4 << 4 | Label.BUILDING
-    NON_SMOOTH = 1 << 4 | Label.VEGETATION
-    TO_AND_FRO = 2 << 4 | Label.VEGETATION
-    LEAF = 3 << 4 | Label.VEGETATION
-    FOLIAGE = 4 << 4 | Label.VEGETATION
-    CROWN = 5 << 4 | Label.VEGETATION
-    TRUNK = 6 << 4 | Label.VEGETATION
-    PLANT = 7 << 4 | Label.VEGETATION
-    ABOVE_TOP = 8 << 4 | Label.VEGETATION
-    ROUGH_PLACE = 9 << 4 | Label.VEGETATION
-    LOW_PLANT = 10 << 4 | Label.VEGETATION
-    SMOOTH_COLUMN = 1 << 4 | Label.STEM
-    ON_STEM = 2 << 4 | Label.STEM
-    BESIDE_STEM = 3 << 4 | Label.STEM
-    BETWEEN_DIVIDERS = 1 << 4 | Label.CAR
-    LEVEL_BODY = 2 << 4 | Label.CAR
-    PROFILE = 3 << 4 | Label.CAR
-    CAR_BOX = 4 << 4 | Label.CAR
-    LARGE_BOX = 5 << 4 | Label.CAR
-    CURB_REGION = 1 << 4 | Label.CURB
-    CURB_FACE = 2 << 4 | Label.CURB
-    VERTICAL = 1 << 4 | Label.VERTICAL
-    HORIZONTAL = 1 << 4 | Label.HORIZONTAL
-    POST = 1 << 4 | Label.POLE
-    ARM = 2 << 4 | Label.POLE
-    BOX = 3 << 4 | Label.POLE
-    THIN_PLACE = 4 << 4 | Label.POLE
+    BEYOND_REACH = 1
+    UNDECIDED = 2
+    SMALL = 3
+    UNSUPPORTED = 4
+    LONELY = 5
+    ISOLATED = 6
+    SPIKE = 7
+    BELOW_GROUND = 8
+    BEHIND_WALL = 9
+    IN_CAR = 10
+    FAR_BELOW = 11
+    ALONE = 12
+    FLAKE = 13
+    MOST_SMOOTH = 14
+    GROUND_COLUMN = 15
+    GROUND_HEIGHT = 16
+    WALKED = 17
+    LEVEL_LOW = 18
+    LOW = 19
+    SOIL = 20
+    FLAT = 21
+    SURFACE = 22
+    OTHER_SEGMENT = 23
+    SMOOTH = 24
+    FACADE = 25
+    THIN_SMOOTH = 26
+    NON_SMOOTH = 27
+    TO_AND_FRO = 28
+    LEAF = 29
+    FOLIAGE = 30
+    CROWN = 31
+    TRUNK = 32
+    PLANT = 33
+    ABOVE_TOP = 34
+    ROUGH_PLACE = 35
+    LOW_PLANT = 36
+    SMOOTH_COLUMN = 37
+    ON_STEM = 38
+    BESIDE_STEM = 39
+    BETWEEN_DIVIDERS = 40
+    LEVEL_BODY = 41
+    PROFILE = 42
+    CAR_BOX = 43
+    LARGE_BOX = 44
+    CURB_REGION = 45
+    CURB_FACE = 46
+    VERTICAL = 47
+    HORIZONTAL = 48
+    POST = 49
+    ARM = 50
+    BOX = 51
+    THIN_PLACE = 52
 
 
-FURTHER_RETURN = 14 << 4
-VOTED = 15 << 4
-"""Reasons of any label: ``label | VOTED`` is the label of most shots around, ``label |
-FURTHER_RETURN`` the label of a shot around at the same range."""
+REASONS_OF_LABELS: dict[Label, tuple[Reason, ...]] = {
+    Label.MISSING: (Reason.MISSING,),
+    Label.UNCLASSIFIED: (
+        Reason.BEYOND_REACH,
+        Reason.UNDECIDED,
+        Reason.SMALL,
+    ),
+    Label.NOISE: (
+        Reason.UNSUPPORTED,
+        Reason.LONELY,
+        Reason.ISOLATED,
+        Reason.SPIKE,
+        Reason.BELOW_GROUND,
+        Reason.BEHIND_WALL,
+        Reason.IN_CAR,
+        Reason.FAR_BELOW,
+        Reason.ALONE,
+        Reason.FLAKE,
+    ),
+    Label.GROUND: (
+        Reason.MOST_SMOOTH,
+        Reason.GROUND_COLUMN,
+        Reason.GROUND_HEIGHT,
+        Reason.WALKED,
+        Reason.LEVEL_LOW,
+        Reason.LOW,
+        Reason.SOIL,
+        Reason.FLAT,
+        Reason.SURFACE,
+    ),
+    Label.BUILDING: (
+        Reason.OTHER_SEGMENT,
+        Reason.SMOOTH,
+        Reason.FACADE,
+        Reason.THIN_SMOOTH,
+    ),
+    Label.VEGETATION: (
+        Reason.NON_SMOOTH,
+        Reason.TO_AND_FRO,
+        Reason.LEAF,
+        Reason.FOLIAGE,
+        Reason.CROWN,
+        Reason.TRUNK,
+        Reason.PLANT,
+        Reason.ABOVE_TOP,
+        Reason.ROUGH_PLACE,
+        Reason.LOW_PLANT,
+    ),
+    Label.STEM: (
+        Reason.SMOOTH_COLUMN,
+        Reason.ON_STEM,
+        Reason.BESIDE_STEM,
+    ),
+    Label.CAR: (
+        Reason.BETWEEN_DIVIDERS,
+        Reason.LEVEL_BODY,
+        Reason.PROFILE,
+        Reason.CAR_BOX,
+        Reason.LARGE_BOX,
+    ),
+    Label.CURB: (
+        Reason.CURB_REGION,
+        Reason.CURB_FACE,
+    ),
+    Label.VERTICAL: (Reason.VERTICAL,),
+    Label.HORIZONTAL: (Reason.HORIZONTAL,),
+    Label.POLE: (
+        Reason.POST,
+        Reason.ARM,
+        Reason.BOX,
+        Reason.THIN_PLACE,
+    ),
+}
+"""Every reason, by the label that it gives."""
+FURTHER_RETURN = 224
+VOTED = 240
+"""Reasons of any label: ``VOTED + label`` is the label of most shots around, ``FURTHER_RETURN +
+label`` the label of a shot around at the same range."""
+
+
+def _labels_by_reason() -> U8:
+    labels = np.full(256, Label.UNCLASSIFIED, np.uint8)
+    for label in Label:
+        labels[[VOTED + label, FURTHER_RETURN + label, *REASONS_OF_LABELS.get(label, ())]] = label
+    return labels
+
+
+LABELS_BY_REASON: U8 = _labels_by_reason()
+"""Label of every reason by its number, (256,) uint8; loops read it."""
 
 
 class Surface(IntEnum):

@@ -10,7 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from prc_cli.core.classes import FURTHER_RETURN, LABEL_BITS, LABEL_NAMES, VOTED, Label, Reason
+from prc_cli.core.classes import (
+    FURTHER_RETURN,
+    LABEL_NAMES,
+    LABELS_BY_REASON,
+    VOTED,
+    Label,
+    Reason,
+)
 from prc_cli.core.types import U8
 
 
@@ -234,11 +241,13 @@ def reasons_of(labels: U8, of_label: Mapping[Label, Reason]) -> U8:
 def rule_of(reason: int) -> tuple[str, Rule]:
     """Return the name and the rule of a reason, by its number in files.
 
-    >>> rule_of(Reason.SPIKE)[0], rule_of(VOTED | Label.CAR)[0], rule_of(9 << 4 | Label.STEM)[0]
+    >>> rule_of(Reason.SPIKE)[0], rule_of(VOTED + Label.CAR)[0], rule_of(200)[0]
     ('spike', 'voted', 'unknown')
     """
-    if reason & ~LABEL_BITS in (VOTED, FURTHER_RETURN):
-        return ("voted", VOTE) if reason & ~LABEL_BITS == VOTED else ("further_return", FURTHER)
+    if reason >= VOTED:
+        return "voted", VOTE
+    if reason >= FURTHER_RETURN:
+        return "further_return", FURTHER
     if reason in Reason.__members__.values():
         return Reason(reason).name.lower(), RULES[Reason(reason)]
     return "unknown", Rule("no rule of this version")
@@ -247,7 +256,7 @@ def rule_of(reason: int) -> tuple[str, Rule]:
 def sentences() -> dict[int, str]:
     """Return the sentence of every reason but that of missing returns, by its number."""
     more = {
-        kind | label: rule.sentence
+        kind + label: rule.sentence
         for kind, rule in ((VOTED, VOTE), (FURTHER_RETURN, FURTHER))
         for label in Label
     }
@@ -260,7 +269,12 @@ def reason_table() -> list[tuple[int, str, str, str]]:
     Votes and further returns have one row each.
     """
     rows = [
-        (int(reason), LABEL_NAMES[reason & LABEL_BITS], reason.name.lower(), RULES[reason].sentence)
+        (
+            int(reason),
+            LABEL_NAMES[LABELS_BY_REASON[reason]],
+            reason.name.lower(),
+            RULES[reason].sentence,
+        )
         for reason in RULES
     ]
     more = [

@@ -7,7 +7,19 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from prc_cli.core.classes import LABEL_COLOURS, LABEL_NAMES, ClassCodes, Label, count_bytes, recode
+from prc_cli.core.classes import (
+    FURTHER_RETURN,
+    LABEL_COLOURS,
+    LABEL_NAMES,
+    LABELS_BY_REASON,
+    REASONS_OF_LABELS,
+    VOTED,
+    ClassCodes,
+    Label,
+    Reason,
+    count_bytes,
+    recode,
+)
 from prc_cli.core.types import F64
 
 
@@ -129,3 +141,12 @@ def test_ground_is_brown_and_vegetation_green() -> None:
     assert red > green > blue
     red, green, blue = LABEL_COLOURS[Label.VEGETATION]
     assert green > blue > red
+
+
+def test_every_reason_has_one_label_and_a_number_of_its_own() -> None:
+    listed = [reason for reasons in REASONS_OF_LABELS.values() for reason in reasons]
+    assert sorted(listed) == sorted(Reason)
+    assert max(Reason) < FURTHER_RETURN < VOTED
+    for label, reasons in REASONS_OF_LABELS.items():
+        numbers = [*reasons, VOTED + label, FURTHER_RETURN + label]
+        assert LABELS_BY_REASON[numbers].tolist() == [label] * len(numbers)

@@ -11,7 +11,7 @@ import pytest
 
 from prc_cli.config import RunConfig, load_config
 from prc_cli.core.blocks import join
-from prc_cli.core.classes import LABEL_BITS, Label, Reason
+from prc_cli.core.classes import LABELS_BY_REASON, Label, Reason
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, U8
 from prc_cli.jobs.classify import label_blocks
@@ -226,7 +226,7 @@ def test_reasons_are_those_of_the_labels(
         np.testing.assert_array_equal(labels, plain)
         assert all(item.reasons is None for item in labelled[1]) or preset == "fused-forest"
         reasons = np.concatenate([item.reasons for item in labelled[0] if item.reasons is not None])
-        np.testing.assert_array_equal(reasons & LABEL_BITS, labels)
+        np.testing.assert_array_equal(LABELS_BY_REASON[reasons], labels)
         seen = set(np.unique(reasons).tolist())
         assert seen <= {*(int(reason) for reason in Reason), *(240 + label for label in range(16))}
         if preset.startswith("fused"):

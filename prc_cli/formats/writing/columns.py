@@ -414,7 +414,7 @@ OPTIONAL_COLUMNS = (
         "reason",
         0,
         _attribute("reasons"),
-        lambda block: block.extra_labels | np.uint8(FURTHER_RETURN),
+        lambda block: block.extra_labels + np.uint8(FURTHER_RETURN),
     ),
 )
 """All optional columns, in the order of outputs."""

@@ -41,7 +41,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.classes import LABEL_BITS, Label, Reason
+from prc_cli.core.classes import LABELS_BY_REASON, Label, Reason
 from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_2, I32, U8, U8_2, U64, Mask_2
 from prc_cli.methods.fused.records import (
@@ -114,7 +114,6 @@ _OPEN_LEAF = np.uint8(254)
 _DOUBTFUL = np.uint8(253)
 """It may be noise: step 2 looks around it."""
 _NOT_GROUND = np.uint8(0)
-_LABEL_BITS = np.uint8(LABEL_BITS)
 _NO_RETURN = np.uint8(Label.MISSING)
 _NOISE = np.uint8(Label.NOISE)
 _GROUND = np.uint8(Label.GROUND)
@@ -649,13 +648,13 @@ def _lines_beside(window_m: F32, row: int, i: int, way: int, limits: DecisionThr
 
 @inlined
 def _is_above_ground(rule: np.uint8) -> bool:
-    label = rule & _LABEL_BITS
+    label = LABELS_BY_REASON[rule]
     return bool((label != _NO_RETURN) & (label != _NOISE) & (label != _GROUND))
 
 
 @inlined
 def _is_ground(rule: np.uint8) -> bool:
-    return bool(rule & _LABEL_BITS == _GROUND)
+    return bool(LABELS_BY_REASON[rule] == _GROUND)
 
 
 # What the steps read: shots, points, places, strips and cars

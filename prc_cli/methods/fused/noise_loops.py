@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.core.classes import Label, Reason
+from prc_cli.core.classes import Label
 from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_2, I32, U8, U8_2
 from prc_cli.methods.fused.thresholds import LateLeafThresholds
@@ -14,7 +14,6 @@ BESIDE_LINES = 1
 """Greatest distance of the shots around, in columns and lines."""
 _NOISE = int(Label.NOISE)
 _LEAVES = int(Label.VEGETATION)
-_LEAF = np.uint8(Reason.LEAF)
 
 
 @helper
@@ -50,16 +49,16 @@ def leaves_amid_noise(
     """Find the leaves among the noise: leaves in other lines are as far.
 
     ``labels`` (lines + 2, M) uint8, before votes; ``voted`` (lines, M) uint8; ``range_m`` (lines +
-    2, M) float32, metres; ``above_m`` (lines, M) float32, metres; returns (lines, M) uint8, the
-    label, or the reason where it is a leaf.
+    2, M) float32, metres; ``above_m`` (lines, M) float32, metres; returns (lines, M) uint8,
+    labels.
     """
     n_lines, m = voted.shape
-    labels_or_reasons = voted.copy()
+    later = voted.copy()
     shots = np.empty(m + 1, np.int32)
     for line in range(n_lines):
         n_shots = _list_noise(voted[line], above_m[line], thresholds.foot_m, shots)
         for n in range(n_shots):
             i = int(shots[n])
             if _is_leaf(range_m, labels, line + BESIDE_LINES, i, thresholds):
-                labels_or_reasons[line, i] = _LEAF
-    return labels_or_reasons
+                later[line, i] = _LEAVES
+    return later

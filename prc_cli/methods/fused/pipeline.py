@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from prc_cli.core.classes import LABEL_BITS, VOTED, Label, Reason
+from prc_cli.core.classes import LABELS_BY_REASON, VOTED, Label, Reason
 from prc_cli.core.config import Params
 from prc_cli.core.loops import loops_of
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock
@@ -424,7 +424,7 @@ def _classify(
         )
         woods = forest(range_m, scanner.plane, forest_noise_m, params.forest.limits())
         return DecidedBlock(
-            labels=woods.reasons & np.uint8(LABEL_BITS),
+            labels=LABELS_BY_REASON[woods.reasons],
             reasons=woods.reasons,
             above_m=woods.above_m,
             noise_m=np.full((1, 1), forest_noise_m),
@@ -814,25 +814,23 @@ def _decide(
     with_reasons: bool,
 ) -> tuple[U8, U8]:
     """Return the label and the reason of every shot of a stream; no reasons unless wanted."""
-    bits = np.uint8(LABEL_BITS)
     range_m = stream.neighbourhoods.range_m
     neighbours = stream.neighbourhoods.neighbours
     texture = evidence.texture
     rules = decide(
         stream.wide_m, neighbours, ground, texture, evidence.strips, plane, limits.decision
     )
-    decided = rules & bits
+    decided = LABELS_BY_REASON[rules]
     voted = vote(decided, range_m[WIDE_LINES:-WIDE_LINES], plane, limits.votes)
     late = find_late_leaves(decided, voted, range_m, ground.above_m, limits.late_leaves)
-    late_labels = late & bits
     inner = slice(INNER_LINES + 1, -INNER_LINES - 1)
-    labels = find_curbs(late_labels, range_m[inner], ground.above_m[inner], plane, limits.curbs)
+    labels = find_curbs(late, range_m[inner], ground.above_m[inner], plane, limits.curbs)
     if not with_reasons:
         return labels, labels
     lines = slice(VOTE_LINES, -VOTE_LINES)
-    reasons = np.where(voted == decided[lines], rules[lines], voted | np.uint8(VOTED))
-    reasons = np.where(late_labels == late, reasons, late)
-    return labels, np.where(labels == late_labels, reasons, np.uint8(Reason.CURB_FACE))
+    reasons = np.where(voted == decided[lines], rules[lines], voted + np.uint8(VOTED))
+    reasons = np.where(late == voted, reasons, np.uint8(Reason.LEAF))
+    return labels, np.where(labels == late, reasons, np.uint8(Reason.CURB_FACE))
 
 
 def _with_cars(

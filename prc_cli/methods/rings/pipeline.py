@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from prc_cli.core.classes import LABEL_BITS, Label
+from prc_cli.core.classes import LABELS_BY_REASON, Label
 from prc_cli.core.loops import loops_of
 from prc_cli.core.stream import MAX_RINGS, LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, F64, U8
@@ -206,7 +206,7 @@ class Rings(Classifier[F64, RingsState]):
         cell_rules = label_cells(cells, sight_over(cells, scanner, plane, limits), limits)
         plants = low_plants(solid, solid_m, marks, limits)
         reasons = label_shots(above_m, marks, lonely, sunken, plants, cells, cell_rules, limits)
-        labels = reasons & np.uint8(LABEL_BITS)
+        labels = LABELS_BY_REASON[reasons]
         further = block.extra
         extra = label_extra_returns(
             block.range_m,

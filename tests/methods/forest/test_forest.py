@@ -14,7 +14,7 @@ import pytest
 from benchmarks.ablation import changed
 from prc_cli.config import load_config
 from prc_cli.core.blocks import join
-from prc_cli.core.classes import LABEL_BITS, Label
+from prc_cli.core.classes import LABELS_BY_REASON, Label
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import classify_ranges
 from prc_cli.methods.forest import classes as woods
@@ -37,7 +37,7 @@ def forest(
     limits: Forest,
 ) -> U8:
     """Labels of a block."""
-    labels: U8 = woods.forest(range_m, plane, noise_m, limits).reasons & np.uint8(LABEL_BITS)
+    labels: U8 = LABELS_BY_REASON[woods.forest(range_m, plane, noise_m, limits).reasons]
     return labels
 
 

@@ -13,7 +13,7 @@ import pytest
 from pyarrow import csv, feather
 
 from prc_cli import classify_ranges, load_config
-from prc_cli.core.classes import LABEL_BITS, Label, Reason
+from prc_cli.core.classes import LABELS_BY_REASON, Label, Reason
 from prc_cli.core.frame import SensorFrame, turning
 from prc_cli.core.stream import ExtraReturns, ScanBlock
 from prc_cli.core.types import F32, F64, U8, Mask
@@ -272,7 +272,7 @@ def test_reasons_measures_and_further_returns(made: Scene) -> None:
     (item,) = label_blocks(iter([block]), PARAMS, wanted=wanted)
     assert item.reasons is not None
     assert item.above_m is not None
-    np.testing.assert_array_equal(item.reasons & LABEL_BITS, item.labels)
+    np.testing.assert_array_equal(LABELS_BY_REASON[item.reasons], item.labels)
     rules = {int(reason) for reason in Reason}
     assert set(np.unique(item.reasons).tolist()) <= rules
     assert item.extra_labels.tolist() == [item.labels[100, 3]]
