@@ -8,10 +8,10 @@ different from the map classes", International Journal of Remote Sensing 35).
 
 Intervals do not come from the standard error, which is 0 if no error was seen. For a score, an
 answer is right or wrong, and the score falls with the share of wrong shots in every stratum. The
-share in a stratum has a confidence distribution, a beta distribution. One wrong answer more is
-added where it harms most, with a chance of one half. This is the mid-p form of the interval for a
-weighted sum by Fay and Feuer (1997, Statistics in Medicine 16; Fay and Kim 2017, Biometrical
-Journal 59).
+share in a stratum has a confidence distribution, a beta distribution. One of the rarer answers more
+is added in the stratum where it changes the score most, with a chance of one half. This is the
+mid-p form of the interval for a weighted sum by Fay and Feuer (1997, Statistics in Medicine 16; Fay
+and Kim 2017, Biometrical Journal 59).
 """
 
 from __future__ import annotations
@@ -29,8 +29,11 @@ from prc_cli.core.types import F64, I64, Mask
 
 SAMPLE_SCORES = ("recall", "precision", "f1")
 """Scores of every class."""
-LEVEL = 0.95
-"""Confidence level."""
+TAIL = 0.02
+"""Chance that the score is beyond an end of its interval.
+
+With 0.025 the chance of both is more than 7 % for some scores, because answers are whole numbers.
+"""
 WANTED = 0.02
 """Half width of an interval that is good enough."""
 N_DRAWS = 20_000
@@ -300,40 +303,56 @@ def _standard_error(sample: StratifiedSample, ratio: Ratio, value: float) -> flo
 def _interval(sample: StratifiedSample, ratio: Ratio) -> tuple[float, float]:
     n_answers = sample.n_answers
     n_wrong = ratio.n_wrong
-    if math.isnan(float(ratio.value(sample.n_shots, n_wrong / n_answers))):
+    value = float(ratio.value(sample.n_shots, n_wrong / n_answers))
+    if math.isnan(value):
         return math.nan, math.nan
     random = np.random.default_rng(_SEED)
+    in_doubt = _strata_in_doubt(sample, ratio)
     wrong = np.empty((N_DRAWS, len(n_answers)))
     for stratum, (k, n) in enumerate(zip(n_wrong.tolist(), n_answers.tolist(), strict=True)):
-        wrong[:, stratum] = _draw(random, k, n, N_DRAWS)
-    worst = _most_harmful(sample, ratio)
-    if worst is not None:
-        half = N_DRAWS // 2
-        k, n = int(n_wrong[worst]), int(n_answers[worst])
-        wrong[:half, worst] = _draw(random, k + 1, n, half)
+        mostly_wrong = 2 * k > n
+        # the rarer answer is not counted once more, but for one stratum and half of the draws
+        wrong[:, stratum] = _draw(random, k + mostly_wrong, n)
+        if stratum in in_doubt:
+            once_more = random.random(N_DRAWS) < 0.5
+            wrong[once_more, stratum] = _draw(random, k + (not mostly_wrong), n)[once_more]
     # only the shots that were not drawn are unknown
     seen = n_answers / sample.n_shots
     wrong = seen * (n_wrong / n_answers) + (1 - seen) * wrong
     scores = ratio.value(sample.n_shots, wrong)
-    low, high = np.nanquantile(scores, ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
-    return float(low), float(high)
+    low, high = np.nanquantile(scores, (TAIL, 1 - TAIL))
+    # with few answers that are all wrong, no draw reaches the estimate
+    return min(float(low), value), max(float(high), value)
 
 
-def _draw(random: np.random.Generator, k: int, n: int, n_draws: int) -> F64:
+def _draw(random: np.random.Generator, k: int, n: int) -> F64:
     """Draw shares whose chance of k or more wrong answers among n is uniform."""
     if k == 0:
-        return np.zeros(n_draws)
+        return np.zeros(N_DRAWS)
     if k > n:
-        return np.ones(n_draws)
-    return random.beta(k, n - k + 1, n_draws)
+        return np.ones(N_DRAWS)
+    return random.beta(k, n - k + 1, N_DRAWS)
 
 
-def _most_harmful(sample: StratifiedSample, ratio: Ratio) -> int | None:
-    """Return the stratum where one more wrong answer lowers the score most."""
+def _strata_in_doubt(sample: StratifiedSample, ratio: Ratio) -> set[int]:
+    """Return the strata where one more of the rarer answers changes the score most.
+
+    At most two: one where a wrong answer more lowers the score, and one where most answers are
+    wrong and a right one more raises it.
+    """
     n_answers = sample.n_answers
-    possible = np.flatnonzero(ratio.matters & (ratio.n_wrong < n_answers))
-    if not len(possible):
-        return None
-    wrong = np.tile(ratio.n_wrong / n_answers, (len(possible), 1))
-    wrong[np.arange(len(possible)), possible] += 1 / n_answers[possible]
-    return int(possible[np.nanargmin(ratio.value(sample.n_shots, wrong))])
+    wrong = ratio.n_wrong / n_answers
+    lowest: tuple[float, int] | None = None
+    highest: tuple[float, int] | None = None
+    for stratum in np.flatnonzero(ratio.matters).tolist():
+        changed = wrong.copy()
+        step = 1 / (n_answers[stratum] + 1)
+        if wrong[stratum] > 0.5:
+            changed[stratum] -= step
+            found = (float(ratio.value(sample.n_shots, changed)), stratum)
+            highest = found if highest is None else max(highest, found)
+        else:
+            changed[stratum] += step
+            found = (float(ratio.value(sample.n_shots, changed)), stratum)
+            lowest = found if lowest is None else min(lowest, found)
+    return {stratum for _, stratum in filter(None, (lowest, highest))}
