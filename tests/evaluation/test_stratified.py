@@ -223,7 +223,7 @@ def test_intervals_contain_the_truth(name: str, monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(DRIVES))
-@pytest.mark.parametrize("n", [100, 300])
+@pytest.mark.parametrize("n", [pytest.param(100, marks=pytest.mark.long), 300])
 def test_intervals_contain_the_truth_of_93_in_100(
     name: str, n: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
