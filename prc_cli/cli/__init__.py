@@ -30,7 +30,7 @@ from prc_cli.core.files import (
 from prc_cli.core.interrupts import Interrupts
 from prc_cli.core.near import did_you_mean, nearest
 from prc_cli.core.paths import begin_command
-from prc_cli.core.process import no_collecting
+from prc_cli.core.process import no_collecting, share_arena
 from prc_cli.core.version import __version__
 
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -144,6 +144,7 @@ def main(args: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if args is None else args
     if args is None:
         is_guarded = go_on_in_child(arguments, COMMANDS)
+        share_arena()
         # pydantic then does not look through all installed packages for plugins
         os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
         keep_proofs()

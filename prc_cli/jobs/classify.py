@@ -23,7 +23,6 @@ from prc_cli.core.errors import ConfigError, DoubtWarning, InputError
 from prc_cli.core.files import suffix_of
 from prc_cli.core.findings import Finding, accept, doubts, refuse
 from prc_cli.core.loops import Engine, Loops, load_loops, use_engine
-from prc_cli.core.process import return_memory
 from prc_cli.core.profile import timed, timed_items
 from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.threads import close_items, default_threads, read_ahead, write_behind
@@ -316,7 +315,6 @@ def _classify(
     loading: Callable[[], AbstractContextManager[None]],
 ) -> RunSummary:
     """Classify one file with the engine that is set; see :func:`classify`."""
-    return_memory()  # must be called before any thread starts
     prepare_label_outputs(output, overwrite=overwrite, inputs=loaded.inputs(scan.path))
     run = Run(scan, loaded, progress)
     output_needs = OutputNeeds.of(scan, output, loaded.config.output)

@@ -19,7 +19,6 @@ from prc_cli.core.files import whole_set
 from prc_cli.core.findings import notices
 from prc_cli.core.loops import Engine, use_engine
 from prc_cli.core.own_file import make_folder
-from prc_cli.core.process import return_memory
 from prc_cli.core.stream import LabelledBlock, ReadTally
 from prc_cli.core.types import I64
 from prc_cli.formats import LAS_SUFFIXES
@@ -162,7 +161,6 @@ class _StreamRun:
         engine: Engine,
         loading: Callable[[], AbstractContextManager[None]],
     ) -> Iterator[RunSummary]:
-        return_memory()  # before any thread
         runs = [Run(part, loaded) for part in self.parts]
         scan = self.parts[0] if len(self.parts) == 1 else JoinedInput(self.parts)
         loaded, opened = open_decided(scan, loaded, engine, OutputNeeds(), loading=loading)

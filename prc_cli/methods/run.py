@@ -8,7 +8,6 @@ from itertools import count
 from typing import Any, TypeVar
 
 from prc_cli.core.blocks import regroup
-from prc_cli.core.process import keep_memory
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.threads import Relay, close_items, ordered
 from prc_cli.methods.base import LABELS_ALONE, Classifier, Part, Wanted
@@ -56,7 +55,6 @@ def run_blocks(
             job.give_up()
             raise
 
-    keep_memory()
     # one more than the threads work on: the next one waits in the queue
     results = ordered(work, begin(), threads=threads, ahead=threads + 1)
     try:

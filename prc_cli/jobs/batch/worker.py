@@ -24,7 +24,7 @@ from typing import IO, Any
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ExitCode, OutputExistsError, PrcError
 from prc_cli.core.interrupts import AGAIN_S, Interrupts, send_to_main_thread
-from prc_cli.core.process import hold_limits, return_memory
+from prc_cli.core.process import hold_limits, share_arena
 from prc_cli.core.profile import peak_memory
 from prc_cli.jobs.batch.engine import Compared, Comparison
 from prc_cli.jobs.batch.outcomes import (
@@ -358,7 +358,7 @@ def main(threads: int, limit_mib: int | None) -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     hold_limits()
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-    return_memory()  # before any thread: else the threads of every file keep memory
+    share_arena()
     # when memory is short, the system kills a worker, not its parent
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("500", encoding="ascii")
