@@ -582,7 +582,7 @@ DRIVES = {
         Drive("vlp-32c", "vlp-32c", 2.5, 5106),
         Drive("hdl-64e", "hdl-64e", 1.5, 5107),
         Drive("forest", "focus3d-120", 4.0, 5108, "forest"),
-        Drive("field", "photon-80", 8.0, 5109, options=("--sight", "25", *FIELD)),
+        Drive("field", "photon-80", 8.0, 5109, options=("--set", "sight_m=25", *FIELD)),
         Drive(
             "standing",
             "photon-80",
@@ -592,8 +592,8 @@ DRIVES = {
         ),
         Drive("first_pass", "photon-80", 8.0, 5111),
         Drive("second_pass", "photon-80", 10.0, 5111, options=("--speed", "6")),
-        Drive("left", "photon-80", 6.0, 5112, options=("--mount-heading", "45")),
-        Drive("right", "photon-80", 6.0, 5112, options=("--mount-heading", "-45")),
+        Drive("left", "photon-80", 6.0, 5112, options=("--set", "scanner.heading_deg=45")),
+        Drive("right", "photon-80", 6.0, 5112, options=("--set", "scanner.heading_deg=-45")),
     )
 }
 

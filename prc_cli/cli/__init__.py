@@ -243,7 +243,7 @@ def _usage_message(error: click.ClickException) -> str:
         text = f"there is no option {option}"
         instead = instead_of(context.command_path, option)
         if instead is not None:
-            return message("error", f"{text} any more", f"type {instead}")
+            return message("error", f"{text} any more", instead)
         near = nearest(option, error.possibilities or (), cutoff=0.75)
         text += f"; did you mean {near}?" if near else ""
     problem, _, advice = text.partition("; ")

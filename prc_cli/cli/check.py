@@ -26,7 +26,9 @@ from prc_cli.jobs.check import check as check_file
     help="Number of shots to check.",
 )
 @click.option("--labels", type=READ, metavar="FILE", help="Classes, if CLASSIFIED has none itself.")
-@click.option("--labels-dimension", metavar="NAME", help="Column or dimension of the classes.")
+@click.option(
+    "--dimension", "labels_dimension", metavar="NAME", help="Column or dimension of the classes."
+)
 @click.option(
     "--mapping",
     type=READ_TEXT,

@@ -97,7 +97,8 @@ _OPTIONS = [
         "[default: the mapping of the method in the run record beside PREDICTED, else prc]",
     ),
     click.option(
-        "--predicted-dimension",
+        "--dimension",
+        "predicted_dimension",
         metavar="NAME",
         help="Column or dimension with the predicted codes.",
     ),
@@ -193,7 +194,8 @@ _OPTIONS = [
         help="Smallest share of records with a partner, of the smaller side.",
     ),
     click.option(
-        "--predicted-points",
+        "--points",
+        "predicted_points",
         type=READ,
         metavar="PATH",
         help="Points of PREDICTED, if it contains only labels: the input of the run, or a folder.",
@@ -306,7 +308,7 @@ def evaluate(paths: tuple[tuple[str, Path], ...], **options: Any) -> None:
       prc evaluate labels.npy oakland_1.csv.gz --mapping oakland --fail-under recall.ground=0.9
       prc evaluate run/ reference/ --mapping oakland --intervals -M 229 --output report.html
       prc evaluate classified.laz car.laz --match nearest --unmatched noise --mapping asprs
-      prc evaluate labels.npy tiles/ --match nearest --predicted-points drive.npz \\
+      prc evaluate labels.npy tiles/ --match nearest --points drive.npz \\
         --trajectory path.csv --mount 0,25,0
     """
     form = form_of(options)

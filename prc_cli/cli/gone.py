@@ -2,38 +2,60 @@
 
 from __future__ import annotations
 
+_SEARCH = "leave it out: the parameters follow from the measured scanner"
+_PAGE = "prc render IN --html PAGE.html, which turns the points"
+
 GONE = {
     "--adopt": "--overwrite, or another folder",
-    "--cdf": "prc render IN --html PAGE.html",
     "--draft": "prc info FILE, which prints the options to type",
-    "--figure": "prc render IN --html PAGE.html",
     "--first": "--only LENGTH, e.g. --only 30s or --only 500lines",
-    "--keep-version": "nothing: outputs of an older version are made again",
+    "--keep-version": "leave it out: outputs of an older version are made again",
+    "--labels-dimension": "--dimension NAME",
     "--max-range": "--set input.max_range=METRES",
     "--metadata": "--set input.metadata=FILE.json",
+    "--mount-heading": "--set scanner.heading_deg=DEGREES",
+    "--mount-slant": "--set scanner.slant_deg=DEGREES",
     "--only-lines": "--only A:B, e.g. --only 200:300",
     "--only-time": "--only A:B with units, e.g. --only +10s:+40s",
+    "--predicted-dimension": "--dimension NAME",
+    "--predicted-points": "--points PATH",
     "--return": "--set input.return=strongest, first or last",
+    "--sight": "--set sight_m=METRES",
 }
-"""What to type instead, by option."""
+"""What to type instead, or why to leave it out, by option."""
 
 GONE_OF = {
     "prc batch --engine": "--scheduler ADDRESS",
     "prc batch --only-failed": "prc batch retry OUT",
+    "prc calibrate --budget": _SEARCH,
+    "prc calibrate --keep": _SEARCH,
+    "prc calibrate --mapping": _SEARCH,
+    "prc calibrate --max-shots": _SEARCH,
+    "prc calibrate --objective": _SEARCH,
     "prc calibrate --plot": "-o FILE.svg",
+    "prc calibrate --reference": _SEARCH,
+    "prc calibrate --reference-dimension": _SEARCH,
+    "prc calibrate --seed": _SEARCH,
+    "prc calibrate --training-share": _SEARCH,
     "prc evaluate --by-confidence": "--by confidence:50,80,90",
     "prc evaluate --by-lines": "--by lines:N",
     "prc evaluate --by-range": "--by range:5,10,20",
     "prc evaluate --by-scanner": "--by scanner",
-    "prc evaluate --interval-lines": "--intervals: its blocks have a fixed number of lines",
+    "prc evaluate --interval-lines": "leave it out: a block has 99 lines",
+    "prc render --block": "--only A:B, the lines to draw",
+    "prc render --from": _PAGE,
+    "prc render --height": _PAGE,
+    "prc render --pages": _PAGE,
+    "prc stream --report": "leave it out: prc reports every ten seconds",
 }
 """The same for one command; wins over :data:`GONE`."""
 
 
 def instead_of(command: str, option: str) -> str | None:
-    """Return what to type instead of an option of a command, or None if it never was one.
+    """Return the hint for an option that a command no longer has, or None if it never was one.
 
     >>> instead_of("prc convert", "--return")
-    '--set input.return=strongest, first or last'
+    'type --set input.return=strongest, first or last'
     """
-    return GONE_OF.get(f"{command} {option}", GONE.get(option))
+    text = GONE_OF.get(f"{command} {option}", GONE.get(option))
+    return text if text is None or text.startswith("leave it out") else f"type {text}"

@@ -58,7 +58,9 @@ from prc_cli.jobs.render import render as render_file
     help="Number of the scanner or of the scan.  [default: the first]",
 )
 @click.option("--labels", type=READ, metavar="FILE", help="Draw these classes, do not classify IN.")
-@click.option("--labels-dimension", metavar="NAME", help="Column or dimension of --labels.")
+@click.option(
+    "--dimension", "labels_dimension", metavar="NAME", help="Column or dimension of --labels."
+)
 @click.option(
     "--reference", type=READ, metavar="FILE", help="Draw the differences to these classes."
 )

@@ -52,12 +52,6 @@ _PLACE = [
     _option(
         "--lines", type=click.IntRange(min=1), help="Number of scan lines, instead of --length."
     ),
-    _option(
-        "--sight",
-        type=click.FloatRange(min=1),
-        metavar="METRES",
-        help="Simulate objects up to this distance.",
-    ),
 ]
 _LENGTH = [
     _option(
@@ -77,18 +71,6 @@ _LENGTH = [
         type=click.FloatRange(min=0, min_open=True),
         metavar="M/S",
         help="Cruising speed.",
-    ),
-    _option(
-        "--mount-slant",
-        type=float,
-        metavar="DEGREES",
-        help="Tilt of the scan plane. Above 0: its lower part points back.",
-    ),
-    _option(
-        "--mount-heading",
-        type=float,
-        metavar="DEGREES",
-        help="Rotation of the scan plane to the left.",
     ),
     _option(
         "--trajectory",
@@ -287,12 +269,9 @@ def parameters(
 _KEYS = {
     "seed": "seed",
     "lines": "lines",
-    "sight": "sight_m",
     "length": "length_m",
     "duration": "duration_s",
     "speed": "trajectory.speed_m_s",
-    "mount_slant": "scanner.slant_deg",
-    "mount_heading": "scanner.heading_deg",
     "noise": "scanner.noise_m",
     "scanner": "scanner.name",
     "scene": "scene.name",

@@ -20,6 +20,9 @@ from prc_cli.jobs.classify import load_classifier
 from prc_cli.jobs.stream import Rate
 from prc_cli.jobs.stream import stream as label_stream
 
+REPORT_S = 10.0
+"""Time between two reports of the rate [s]."""
+
 
 @click.command(cls=Sectioned)
 @live_options
@@ -30,18 +33,9 @@ from prc_cli.jobs.stream import stream as label_stream
     help="Lines per second of the scanner, for the real-time factor. Default: "
     "the value of the layout.",
 )
-@click.option(
-    "--report",
-    "every",
-    type=click.FloatRange(min=0),
-    default=10.0,
-    show_default=True,
-    metavar="SECONDS",
-    help="Time between two reports of the rate on stderr. 0 = only at the end.",
-)
 @output_options
 def stream(
-    line_hz: float | None, every: float, as_json: bool, quiet: bool, verbose: bool, **options: Any
+    line_hz: float | None, as_json: bool, quiet: bool, verbose: bool, **options: Any
 ) -> None:
     """Classify a live stream: ranges on stdin, one byte per shot on stdout.
 
@@ -65,7 +59,7 @@ def stream(
     if loaded.config.is_decided:
         with compiling_note(quiet=quiet or as_json):
             load_classifier(loaded)
-    report = None if quiet or not every else _Reporter(every, line_hz, as_json=as_json)
+    report = None if quiet else _Reporter(REPORT_S, line_hz, as_json=as_json)
     # unbuffered: labels must not wait until a buffer is full
     source = io.FileIO(sys.stdin.fileno(), closefd=False)
     sink = io.FileIO(sys.stdout.fileno(), "w", closefd=False)

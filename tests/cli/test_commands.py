@@ -458,7 +458,7 @@ def test_outputs_are_whole_or_not_there(prc: Prc, tmp_path: Path) -> None:
 def test_wrong_options(prc: Prc, tmp_path: Path) -> None:
     source = write_npz(tmp_path / "street.npz", street())
     for options, message in (
-        (["-o", tmp_path / "curves.png"], "ends in .svg"),
+        (["-o", tmp_path / "curves.png"], "ends in .toml or .svg"),
         (["--json", "--format", "markdown"], "contradict"),
     ):
         result = prc("calibrate", source, *options)
@@ -616,14 +616,12 @@ def test_options_of_simulate_win_over_set_and_file(prc: Prc, tmp_path: Path) -> 
         "--config",
         tmp_path / "a.toml",
         "--set",
-        "scanner.slant_deg=6",
-        "--mount-slant",
-        "7",
+        "scanner.slant_deg=7",
         "--speed",
         "2",
     )
     result = prc(
-        "simulate", "street", tmp_path / "a.npz", *options, "--sight", "20", "--json", "-q"
+        "simulate", "street", tmp_path / "a.npz", *options, "--set", "sight_m=20", "--json", "-q"
     )
     table = json.loads(result.out)["config"]["simulation"]
     assert (table["lines"], table["scanner"]["slant_deg"]) == (30, 7.0)
@@ -678,9 +676,9 @@ def test_bad_input_of_simulate_is_one_line(prc: Prc, tmp_path: Path) -> None:
         (
             ["street", tmp_path / "a.npz", "--scanner", "scanstation2"],
             2,
-            "is not one of 'photon-80'",
+            "choose one of: photon-80",
         ),
-        (["street", tmp_path / "a.npz", "--set", "scene.tree=1"], 2, "did you mean 'trees'?"),
+        (["street", tmp_path / "a.npz", "--set", "scene.tree=1"], 2, "did you mean 'scene.trees'?"),
         (
             ["street", tmp_path / "a.npz", "--set", "scene.trees=9"],
             2,

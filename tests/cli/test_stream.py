@@ -134,7 +134,7 @@ def test_doubts_are_told_and_end_with_exit_code_4() -> None:
     assert err.startswith("warning: returns: ")
     assert "; or --accept-doubt returns" in folded(err)
     assert len(folded(err).splitlines()) == 1
-    code, _, err = run(thin.tobytes(), *options, "--json", "--report", "0")
+    code, _, err = run(thin.tobytes(), *options, "--json")
     first, last = [json.loads(line) for line in err.splitlines()]
     assert (code, last["doubts"]) == (4, [first["doubt"]])
     assert (first["doubt"]["check"], first["doubt"]["verdict"]) == ("returns", "doubtful")

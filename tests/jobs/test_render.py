@@ -240,7 +240,7 @@ def test_classes_and_ranges_of_a_drive(tmp_path: Path) -> None:
     few = render_viewer(source, tmp_path / "few.html", config, RenderOptions(shots=5000))
     assert few.thinned_by != (1, 1)
     assert "1 line of " in few.drawn
-    assert any("--only-lines A:B shows a part" in note for note in few.notes)
+    assert any("--only A:B shows a part" in note for note in few.notes)
     # a result beside its input is shown, not made again
     options = RenderOptions(labels=tmp_path / "labels.npy")
     render_viewer(source, tmp_path / "b.html", config, options)

@@ -500,7 +500,7 @@ def _plan(
     for name in columns:
         if name != CONFIDENCE and name not in (*left_has, *right_has) and name in asked:
             problem = f"no {SPLITS[name]} to split by in {left.path} or {right.path}"
-            hint = "give -M, or --predicted-points with the points of the labels"
+            hint = "give -M, or --points with the points of the labels"
             raise ConfigError(f"split by {SPLITS[name]}", problem, hint)
     if CONFIDENCE in columns and CONFIDENCE not in left_has:
         problem = f"no confidence in {left.path}, expected a dimension or column of this name"
@@ -542,7 +542,7 @@ def _add_place_columns(
     in_space = options.match == "nearest" or not {LINE, COLUMN} <= read
     if in_space and not set(AXES) <= read:
         problem = f"no scan lines and columns, and no coordinates in {left.path}"
-        hint = "give -M, or --predicted-points with the points of the labels"
+        hint = "give -M, or --points with the points of the labels"
         raise ConfigError("--places", problem, hint)
     return in_space
 
@@ -550,7 +550,7 @@ def _add_place_columns(
 def _no_place(left: Side, right: Side, window: Window) -> ConfigError:
     values = "scan lines" if window.in_lines else "times"
     problem = f"no {values} in {left.path} or {right.path}, expected them for {window.option}"
-    hint = "give --predicted-points with the points of the labels"
+    hint = "give --points with the points of the labels"
     if window.in_lines:
         hint += ", or -M"
     return ConfigError("window", problem, hint)
@@ -641,7 +641,7 @@ def _hint_for_registered(left: Side, right: Side) -> str:
         return ""
     points = ""
     if not set(AXES) <= set(left.dimensions):
-        points = " --predicted-points INPUT, the file that was classified"
+        points = " --points INPUT, the file that was classified"
     elif _share_area(left, right):
         files = f"{left.files[0].codes.path} {right.files[0].codes.path}"
         return f"both have coordinates of one area: prc evaluate {files} --match nearest"

@@ -335,7 +335,7 @@ def _shots(
         n_all = (kept.part.stop - kept.part.first) * stream.info.points_per_line
         notes.append(
             f"The page holds {classes.size:,} of {n_all:,} shots, {thinned(step)}; "
-            "--only-lines A:B shows a part of them in full."
+            "--only A:B shows a part of them in full."
         )
     order = upright(beam_rad)
     left_out = sorted(words.table.hidden | words.noise)

@@ -375,7 +375,7 @@ def test_other_coordinate_systems_are_refused_with_both_names(drive: Drive, tmp_
         ({"match": "nearest"}, "no 'x' to match by"),
         ({"match": "dimension:shot"}, "no 'shot' to match by"),
         ({"split_range_m": (20.0,)}, "no range to split by"),
-        ({"split_lines": 5}, "give -M, or --predicted-points"),
+        ({"split_lines": 5}, "give -M, or --points"),
         ({"split_scanner": True}, "no scanner to split by"),
     ],
 )

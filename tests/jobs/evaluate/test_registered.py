@@ -362,7 +362,7 @@ def evaluate(drive: Path, *arguments: str, poses: str = "poses.csv") -> Any:
         "--json",
     ]
     command += [
-        "--predicted-points",
+        "--points",
         str(drive / "drive.npz"),
         "--trajectory",
         str(drive / poses),
@@ -486,7 +486,7 @@ def test_a_registered_reference_is_refused_by_order_with_the_option_that_reads_i
     assert runner().invoke(cli, line.split()).exit_code == 0
     refused = runner().invoke(cli, ["evaluate", "labels.npy", "car.las"])
     hint = "if car.las holds registered points (CAR), add "
-    more = "--match nearest --predicted-points INPUT"
+    more = "--match nearest --points INPUT"
     assert hint + more in str(refused.exception)
     more = more.replace("INPUT", "classified.las")
     assert runner().invoke(cli, ["evaluate", "labels.npy", "car.las", *more.split()]).exit_code == 0
