@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import errno
 import importlib.util
 import os
 import sys
@@ -269,3 +270,13 @@ def test_damaged_cache_is_done_without(tmp_path: Path, damage: bytes) -> None:
     for path in files:
         path.write_bytes(damage)
     assert compile_module(tmp_path).twice(21) == 42
+
+
+@needs_compiler
+def test_a_full_disk_is_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def save(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("numba.core.caching.IndexDataCacheFile.save", save)
+    assert compile_module(tmp_path).twice(21) == 42
+    assert not compiled_files(tmp_path / "user")
