@@ -17,8 +17,7 @@ from unittest import mock
 import numpy as np
 
 from benchmarks import contest_data as data
-from benchmarks import slow
-from benchmarks.contest_data import Scan, Simulated
+from benchmarks.contest_data import Scan
 from benchmarks.contest_judge import judge, judge_things
 from benchmarks.contest_methods import label
 from prc_cli.config import load_config
@@ -93,10 +92,6 @@ def scans() -> Iterator[tuple[str, Scan]]:
     """Yield scans with the name of their group."""
     for spec in data.TRAIN:
         yield "streets", data.simulated(spec)
-    for i, scene in enumerate(slow.SCENES):
-        scan = data.simulated(Simulated(scene, 9021 + i, slow.LENGTH_M, scene, noise=0.0))
-        for drive in ("1/4", "stop and go"):
-            yield "slow drives", slow.slowed(scan, slow.DRIVES[drive](len(scan.range_m)), i)
     for spec in data.TRAIN_FOREST:
         yield "forests", data.simulated(spec)
     yield "Oakland", data.oakland(1)

@@ -16,10 +16,7 @@ vegetation; it has the ASPRS codes 2, 5 and 6 alone. It is a plain one: offices 
 from __future__ import annotations
 
 import argparse
-import json
 import re
-import subprocess
-import sys
 import tempfile
 import time
 from importlib import import_module
@@ -30,9 +27,8 @@ import laspy
 import numpy as np
 from scipy.spatial import cKDTree
 
-from benchmarks.contest_data import DATA
-from benchmarks.pages import TOOK, duration, heading, printed_at
-from benchmarks.user import CHILD
+from benchmarks.pages import DATA, TOOK, duration, heading, printed_at
+from benchmarks.user import run
 from prc_cli.core.types import F64, I64, Mask
 
 OAKLAND = "## Oakland's registered points"
@@ -54,20 +50,9 @@ SCORES = ("recall", "precision", "f1")
 
 def prc(*arguments: object) -> tuple[Any, float, float]:
     """Run a command; return what it prints as JSON, its time [s] and its peak memory [MiB]."""
-    start = time.perf_counter()
-    command = [
-        sys.executable,
-        "-c",
-        CHILD.replace("stdout=sys.stderr", "stdout=sys.stdout"),
-        *map(str, arguments),
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    text, _, peak = done.stdout.rstrip().rpartition("\n")
-    return (
-        json.loads(text) if text.strip().startswith("{") else None,
-        time.perf_counter() - start,
-        float(peak),
-    )
+    done = run(*arguments)
+    is_json = done.stdout.lstrip().startswith("{")
+    return done.table() if is_json else None, done.seconds, done.peak_mib
 
 
 def registered(las: laspy.LasData, seed: int = 1) -> F64:

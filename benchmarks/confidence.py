@@ -5,9 +5,6 @@ Its table, and how often labels of every confidence are right.
     python -m benchmarks.confidence calibrate  # makes prc_cli/methods/fused/confidence.json
     python -m benchmarks.confidence check  # reliability on other streets and forests, for choosing
     python -m benchmarks.confidence report  # docs/figures/confidence.md, seeds that decided nothing
-    # the same page: streets for choosing without single measures
-    python -m benchmarks.confidence ablation
-    python -m benchmarks.confidence speed  # processor time, and how much the size of blocks matters
 
 Calibrated on seeds 2601 to 2699, chosen on 2701 to 2799, reported on 2901 to 2999 and on the
 labelled real scans of ../shared/data or $PRC_DATA. A label is right if it is the class of the
@@ -16,9 +13,7 @@ never right."""
 
 from __future__ import annotations
 
-import argparse
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -28,8 +23,8 @@ from unittest import mock
 import numpy as np
 
 from benchmarks import contest_data as data
-from benchmarks.contest_data import ROOT, Scan, Simulated
-from benchmarks.pages import heading
+from benchmarks.contest_data import Scan, Simulated
+from benchmarks.pages import DATA, ROOT, duration, heading, parser_of
 from benchmarks.user import in_process
 from prc_cli.config import load_config
 from prc_cli.core.classes import Label
@@ -289,29 +284,6 @@ def check(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
         print(row(f"**{environment}**", judged), flush=True)
 
 
-def ablation(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
-    """Print what every measure is worth.
-
-    Calibrated anew without its answers, on the streets for choosing.
-    """
-    for environment in environments:
-        judged = judged_of(environment, CALIBRATION)
-        others = judged_of(environment, CHECK)
-        asked = dict.fromkeys(name for names in QUESTIONS[environment].values() for name in names)
-        print(f"\n## What every measure is worth: {NAMES[environment]}\n\n{ABLATION}\n\n{HEAD}")
-        print(row("all", with_table(others, table_of(judged, environment, ()))))
-        for name in asked:
-            print(
-                row(
-                    f"without `{name}`", with_table(others, table_of(judged, environment, (name,)))
-                ),
-                flush=True,
-            )
-        print(
-            row("the label alone", with_table(others, table_of(judged, environment, tuple(asked))))
-        )
-
-
 NAMES: dict[Environment, str] = {"urban": "streets", "forest": "forests"}
 ABLATION = """\
 The table is made anew without the answers to one question. Calibrated on seeds 2601 to 2699, other
@@ -450,14 +422,12 @@ def print_real(lines: dict[str, list[tuple[str, float, float, float]]]) -> None:
         for scan, (source, reference, options, mapping) in REAL.items():
             output = Path(name) / "labels.csv"
             on = ("--preset", "fused", "--set", "output.confidence=true", "--overwrite", "-q")
-            code, said = in_process(
-                ["classify", str(data.DATA / source), str(output), *options, *on]
-            )
+            code, said = in_process(["classify", str(DATA / source), str(output), *options, *on])
             if code not in (0, 4):
                 raise SystemExit(said)
             table: F64 = np.genfromtxt(output, delimiter=",", skip_header=1, usecols=(1, 3))
             codes, shots = table.T.astype(np.int64)
-            side = CodesOf(mapping, data.DATA / reference)
+            side = CodesOf(mapping, DATA / reference)
             right, there = side.right(codes)
             labels = np.zeros(len(codes), np.uint8)
             judged_scan = Judged(
@@ -521,61 +491,24 @@ def report(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
         lines[NAMES[environment]] = reliability(judged)
     print_real(lines)
     CURVE.write_text(curve(lines), encoding="utf-8")
+    print(duration())
 
 
 COMMANDS = """$ python -m benchmarks.confidence calibrate  # after any change of fused
 $ python -m benchmarks.confidence report > docs/figures/confidence.md
-$ python -m benchmarks.confidence ablation urban >> docs/figures/confidence.md"""
-
-
-def speed(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
-    """Print the processor time with and without confidence, and how much block sizes change."""
-    for environment in environments:
-        spec = next(specs(environment, CHECK))
-        scan = data.simulated(spec)
-        params = load_config(
-            preset="fused" if environment == "urban" else "fused-forest"
-        ).config.fused
-        times: dict[bool, list[float]] = {False: [], True: []}
-        for wanted in (False, True) * 4:
-            start = time.process_time()
-            for _ in range(3):
-                list(label_blocks(scan.blocks(), params, wanted=Wanted(confidence=wanted)))
-            times[wanted].append((time.process_time() - start) / 3 / scan.n_shots)
-        off, on = (1e10 * min(times[wanted]) for wanted in (False, True))
-        print(
-            f"{environment}: {off:.0f} ms of processor time for 10 M shots, {on - off:.0f} "
-            "ms more with confidence"
-        )
-        seconds = {}
-        for n_lines in (128, 64, 16):
-            chosen = params.model_copy(update={"lines_per_block": n_lines})
-            items = label_blocks(scan.blocks(), chosen, wanted=Wanted(confidence=True))
-            seconds[n_lines] = np.concatenate(
-                [item.confidence for item in items if item.confidence is not None]
-            )
-        for n_lines in (64, 16):
-            off_by = np.abs(seconds[128].astype(int) - seconds[n_lines])[~np.isnan(scan.range_m)]
-            print(
-                f"  blocks of {n_lines} lines: {np.mean(off_by > 0):.2%} differ, "
-                f"{np.mean(off_by > 5):.2%} by more than 5"
-            )
+"""
 
 
 COMMAND: dict[str, Callable[[Sequence[Environment]], None]] = {
     "calibrate": calibrate,
     "check": check,
-    "ablation": ablation,
     "report": report,
-    "speed": speed,
 }
 
 
 def main() -> None:
     """Run what is asked for."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("which", choices=tuple(COMMAND))
     parser.add_argument("environments", nargs="*", metavar="urban|forest", help="default: both")
     arguments = parser.parse_args()

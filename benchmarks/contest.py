@@ -1,57 +1,60 @@
 """The contest: both papers, the fused method and filters of registered clouds on the same points.
 
-    # everything; only what changed is run again
     python -m benchmarks.contest > docs/figures/contest.md
-    python -m benchmarks.contest --quick  # papers and fused on three scans, no filters
-    python -m benchmarks.contest tables peers                 # some of the parts
+    python -m benchmarks.contest --quick                  # three scans, no filters
+    python -m benchmarks.contest summary things           # some of the parts
+    python -m benchmarks.contest --only KITTI             # scans whose name or group holds a text
 
 Reads ../shared/data or $PRC_DATA for the real scans. Filters of registered clouds run if installed
-(``pip install .[peers]``). Results are cached in --cache by the content of scan, configuration and
-code."""
+(``pip install .[peers]``).
+"""
 
 from __future__ import annotations
 
-import argparse
-import re
 import sys
-import tempfile
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from pathlib import Path
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import partial
+from multiprocessing import get_context
 
 import numpy as np
 
+from benchmarks import contest_data as data
 from benchmarks import contest_peers as peers
-from benchmarks.contest_chains import CHAINS
-from benchmarks.contest_data import Scan
-from benchmarks.contest_drives import print_drives
-from benchmarks.contest_judge import CURB, LEAST_SHARE, Verdict, pooled
-from benchmarks.contest_methods import FUSED, PAPERS, TO_THE_TOP, Method, fused, label
-from benchmarks.contest_runs import (
-    FOREST,
-    FOREST_CYLINDERS,
-    FOREST_NOISY,
-    KITTI,
-    OAKLAND,
-    OAKLAND_NOISY,
-    OAKLAND_TRAIN,
-    PHOTON,
-    SLOW,
-    SLOW_DRIVES,
-    STREET_GROUPS,
-    VIEWS,
-    DataSet,
-    Run,
-    Store,
-    data_sets,
-    f1,
-    judged,
-    print_things,
+from benchmarks.contest_data import Scan, Simulated
+from benchmarks.contest_judge import CURB, LEAST_SHARE, Verdict, judge, judge_things, pooled
+from benchmarks.contest_methods import FUSED, METHODS, Method, label, label_scan
+from benchmarks.pages import (
+    DATA,
+    commands,
+    duration,
+    heading,
+    parser_of,
+    printed_at,
+    say,
+    table,
 )
-from benchmarks.pages import commands, duration, heading, printed_at, say
+from prc_cli.core.stream import ExtraReturns
 
 STREETS = "streets"
+STREET_GROUPS = {
+    "photon-80": "streets, photon-80",
+    "sick-push-broom": "streets, sick-push-broom",
+    "profiler-1mhz": "streets, profiler-1mhz",
+}
+OAKLAND = "Oakland 2, 3"
+OAKLAND_NOISY = "Oakland 2, 3, background added"
+OAKLAND_TRAIN = "Oakland 1 (tuned on)"
+KITTI = "KITTI frame"
+FOREST = "forests"
+FOREST_CYLINDERS = "forests, reference of cylinders"
+FOREST_NOISY = "forests, 3 cm of noise"
+VIEWS = {"kitti": "KITTI views", "nuscenes": "nuScenes views", "vlp32": "VLP-32 views"}
+"""By kind; those with odd numbers, the even ones chose parameters of rings, VLP-32 none."""
+PEER_SEEDS = (7201, 7202, 7205, 7208, 7209, 7210)
+"""Streets for the filters of registered clouds, which take minutes instead of seconds."""
+_OF_OAKLAND = {"ground": 0.995, "building": 0.90, "vegetation": 0.93, "car": 0.85}
 GOALS: dict[str, dict[str, float]] = {
     STREETS: {
         "noise": 0.96,
@@ -62,533 +65,374 @@ GOALS: dict[str, dict[str, float]] = {
         CURB: 0.70,
         "pole": 0.75,
     },
-    OAKLAND: {"ground": 0.995, "building": 0.90, "vegetation": 0.93, "car": 0.85},
-    OAKLAND_TRAIN: {"ground": 0.995, "building": 0.90, "vegetation": 0.93, "car": 0.85},
+    OAKLAND: _OF_OAKLAND,
+    OAKLAND_TRAIN: _OF_OAKLAND,
     FOREST: {"stem": 0.90},
     FOREST_NOISY: {"stem": 0.85},
 }
 """Least F1, mean over the scans, by group and class."""
-FURTHER = (SLOW, FOREST_NOISY, *VIEWS.values())
-"""Groups with tables of their own."""
-MOST_LOST = 0.03
-"""Of F1 in a slow drive, beside the same street driven normally."""
-JUDGED_OF_PEERS = ("ground", "noise")
+LEAST_SHOTS = 100
+"""Fewest shots of a thing in a scan that is judged."""
 SPEED_SHOTS = 8_000_000
-SPEED_RUNS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Result of a method on a scan."""
+
+    verdict: Verdict
+    n_returns: int
+    cpu_s: float
+    things: dict[str, list[float]] = field(default_factory=dict)
+    """Counts of ``contest_judge.judge_things``."""
+    said: tuple[str, ...] = ()
+    """Warnings and refusals."""
+
+    def f1(self, name: str) -> float | None:
+        """Return the F1 of a class or a thing; None if the scan has too few of it."""
+        if name in self.things:
+            agree, predicted, reference = self.things[name]
+            return 2 * agree / (predicted + reference) if reference >= LEAST_SHOTS else None
+        f1 = self.verdict.f1()
+        return float(np.nan_to_num(f1[name])) if name in f1 else None
 
 
 @dataclass(slots=True)
-class Contest:
-    """Inputs of the parts of the page."""
+class DataSet:
+    """A scan, and what the methods made of it."""
 
-    store: Store
-    items: tuple[DataSet, ...]
-    methods: tuple[Method, ...]
-    quick: bool = False
+    name: str
+    group: str
+    make: Callable[[], Scan]
+    with_peers: bool = False
+    runs: dict[str, Run] = field(default_factory=dict)
+    """By method."""
 
-    def all_runs(self, methods: tuple[Method, ...]) -> dict[str, dict[str, Run]]:
-        """Return all runs by method and scan; scans are made once, one after the other."""
-        runs_by_method: dict[str, dict[str, Run]] = {method.name: {} for method in methods}
-        for item in self.items:
-            scan = self.store.scan(item)
-            for method in methods:
-                if method.takes(scan):
-                    runs_by_method[method.name][item.how] = self.store.stream_run(item, method)
-        return {name: runs for name, runs in runs_by_method.items() if runs}
+    def run(self, methods: tuple[Method, ...], chains: dict[str, list[peers.Step]]) -> None:
+        """Make the scan, and run all methods that are for it."""
+        scan = self.make()
+        for method in methods:
+            if method.takes(scan):
+                print(f"{self.name}: {method.name}", file=sys.stderr, flush=True)
+                done = label_scan(scan, method)
+                verdict = judge(scan, done.codes, done.extra_codes)
+                things = judge_things(scan, done.codes)
+                self.runs[method.name] = Run(verdict, scan.n_returns, done.cpu_s, things, done.said)
+        if self.with_peers and chains:
+            self._run_peers(scan, chains)
 
-    def groups(self) -> dict[str, list[DataSet]]:
-        """Return the scans by group."""
-        groups: dict[str, list[DataSet]] = {}
-        for item in self.items:
-            groups.setdefault(item.group, []).append(item)
-        return groups
-
-
-def title_of(item: DataSet) -> str:
-    return f"{item.name}, cylinders" if item.group == FOREST_CYLINDERS else item.name
-
-
-def of_group(runs: dict[str, Run], items: list[DataSet]) -> list[Verdict]:
-    """Return the verdicts of the available scans of a group."""
-    return [runs[item.how].verdict for item in items if item.how in runs]
-
-
-def mean_f1(verdicts: list[Verdict]) -> dict[str, float]:
-    """Return the mean F1 of every class over the scans in which it exists."""
-    scores_by_class: dict[str, list[float]] = {}
-    for verdict in verdicts:
-        for name, value in verdict.f1().items():
-            scores_by_class.setdefault(name, []).append(0.0 if np.isnan(value) else value)
-    return {name: float(np.mean(values)) for name, values in scores_by_class.items()}
+    def _run_peers(self, scan: Scan, chains: dict[str, list[peers.Step]]) -> None:
+        points = peers.points_of(scan)
+        made: dict[str, tuple[np.ndarray, float]] = {"[]": (points.no_codes(), 0.0)}
+        # the packages bring libraries of their own
+        with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+            for name, steps in chains.items():
+                for n in range(len(steps)):
+                    before, spent_s = made[str(steps[:n])]
+                    if str(steps[: n + 1]) not in made:
+                        codes, cpu_s = pool.submit(peers.step, points, steps[n], before).result()
+                        made[str(steps[: n + 1])] = (codes, spent_s + cpu_s)
+                codes, cpu_s = made[str(steps)]
+                verdict = judge(scan, *peers.as_image(scan, codes))
+                self.runs[f"*{name}*"] = Run(verdict, scan.n_returns, cpu_s)
 
 
-def summary(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """One row per method, one column per group: mean macro F1 of the scans, then every class."""
-    groups = contest.groups()
+def data_sets() -> list[DataSet]:
+    """Return all scans for reporting, real ones if available."""
+
+    def simulated(spec: Simulated, group: str) -> DataSet:
+        return DataSet(spec.name, group, partial(data.simulated, spec), spec.seed in PEER_SEEDS)
+
+    sets = [simulated(spec, STREET_GROUPS[spec.scanner]) for spec in data.TEST_STREETS]
+    if (DATA / "oakland").exists():
+        for n in (2, 3, 1):
+            group = OAKLAND_TRAIN if n == 1 else OAKLAND
+            name = f"Oakland strip {n}"
+            sets.append(DataSet(name, group, partial(data.oakland, n), n != 1))
+        for n in (2, 3):
+            name = f"Oakland strip {n}, 5 % background added"
+            sets.append(DataSet(name, OAKLAND_NOISY, partial(data.oakland_noisy, n), True))
+    if (DATA / "kitti").exists():
+        sets.append(DataSet("KITTI frame", KITTI, data.kitti, True))
+    for kind, group in VIEWS.items():
+        sets += [
+            DataSet(path.stem, group, partial(data.view, path))
+            for path in data.view_paths(kind)
+            if kind == "vlp32" or int(path.stem.rsplit("_", 1)[1]) % 2
+        ]
+    sets += [simulated(spec, FOREST) for spec in data.TEST_FORESTS]
+    sets += [simulated(spec, FOREST_NOISY) for spec in data.NOISY_FORESTS]
+    for spec in data.TEST_FORESTS:
+        cylinders = replace(spec, name=f"{spec.name}, cylinders", cylinders=True)
+        sets.append(simulated(cylinders, FOREST_CYLINDERS))
+    return sets
+
+
+def by_group(sets: list[DataSet]) -> dict[str, list[DataSet]]:
+    """Return the scans by group."""
+    return {
+        group: [s for s in sets if s.group == group]
+        for group in dict.fromkeys(item.group for item in sets)
+    }
+
+
+def streets_and_others(sets: list[DataSet]) -> dict[str, list[DataSet]]:
+    """Return the scans by group, all streets in one."""
+    streets = [item for item in sets if item.group in STREET_GROUPS.values()]
+    others = [item for item in sets if item.group not in STREET_GROUPS.values()]
+    return {**({STREETS: streets} if streets else {}), **by_group(others)}
+
+
+def methods_of(sets: list[DataSet]) -> list[str]:
+    """Return the methods of the stream that ran on some of the scans."""
+    names = dict.fromkeys(name for item in sets for name in item.runs)
+    return [name for name in names if not name.startswith("*")]
+
+
+def mean_and_worst(values: list[float], digits: int = 3) -> str:
+    """Return the mean of scans, and the worst of several in brackets."""
+    if not values:
+        return ""
+    spread = f" ({min(values):.2f})" if len(values) > 1 else ""
+    return f"{np.mean(values):.{digits}f}{spread}"
+
+
+def runs_of(sets: list[DataSet], method: str) -> list[Run]:
+    """Return the runs of a method."""
+    return [item.runs[method] for item in sets if method in item.runs]
+
+
+def f1_of(sets: list[DataSet], method: str, name: str) -> list[float]:
+    """Return the F1 of a class by a method in all scans that have enough of it."""
+    return [f1 for run in runs_of(sets, method) if (f1 := run.f1(name)) is not None]
+
+
+def summary(sets: list[DataSet]) -> None:
+    """Print the macro F1 of every method by group, then every class."""
     print("## In short\n")
     say(f"""Macro F1: the mean F1 of noise, ground, building and vegetation (in forests noise,
     ground, stem and vegetation). A class counts in a scan if it has at least {LEAST_SHARE:.1%} of
     the scored returns. Cells: mean over the scans of the group that the method is meant for; worst
     scan in brackets. The Oakland reference has no noise: points predicted as noise count as errors
     of their true class. Noise is scored on the same strips with background added.""")
-    usual = {name: items for name, items in groups.items() if name not in FURTHER}
-    print_macros(usual, runs)
-    print_macros({name: items for name, items in groups.items() if name in FURTHER}, runs)
-    for title, items in {"Simulated streets": _streets(groups), **_others(groups)}.items():
-        print_classes(title, items, runs)
-
-
-def print_macros(groups: dict[str, list[DataSet]], runs: dict[str, dict[str, Run]]) -> None:
-    """Mean macro F1 of every method by group."""
-    if not groups:
-        return
-    print(f"| | {' | '.join(groups)} |\n|---|{'---:|' * len(groups)}")
-    for name, method_runs in runs.items():
-        cells = [_macro(of_group(method_runs, items)) for items in groups.values()]
-        if any(cells):
-            print(f"| {name} | {' | '.join(cells)} |")
-    print()
-
-
-def _macro(verdicts: list[Verdict]) -> str:
-    macros = [verdict.macro for verdict in verdicts]
-    spread = f" ({min(macros):.2f})" if len(macros) > 1 else ""
-    return f"{np.mean(macros):.3f}{spread}" if macros else ""
-
-
-def _streets(groups: dict[str, list[DataSet]]) -> list[DataSet]:
-    return [item for group in STREET_GROUPS for item in groups.get(group, [])]
-
-
-def _others(groups: dict[str, list[DataSet]]) -> dict[str, list[DataSet]]:
-    return {name: items for name, items in groups.items() if name not in STREET_GROUPS}
-
-
-def print_classes(title: str, items: list[DataSet], runs: dict[str, dict[str, Run]]) -> None:
-    """F1 of every class by method: the mean over the scans, the worst scan in brackets."""
-    verdicts_by_method = {name: of_group(method_runs, items) for name, method_runs in runs.items()}
-    verdicts_by_method = {
-        name: verdicts for name, verdicts in verdicts_by_method.items() if verdicts
-    }
-    if not verdicts_by_method:
-        return
-    classes = list(
-        dict.fromkeys(
-            name for verdicts in verdicts_by_method.values() for name in mean_f1(verdicts)
+    groups = by_group(sets)
+    table(
+        ("", *groups),
+        (
+            (
+                method,
+                *(
+                    mean_and_worst([run.verdict.macro for run in runs_of(items, method)])
+                    for items in groups.values()
+                ),
+            )
+            for method in methods_of(sets)
+        ),
+    )
+    for group, items in streets_and_others(sets).items():
+        verdicts = [run.verdict for item in items for run in item.runs.values()]
+        classes = list(dict.fromkeys(name for verdict in verdicts for name in verdict.present))
+        title = "Simulated streets" if group == STREETS else group
+        print(f"### {title}: F1 of the classes\n")
+        table(
+            ("", *classes),
+            (
+                (method, *(mean_and_worst(f1_of(items, method, name)) for name in classes))
+                for method in methods_of(items)
+            ),
         )
-    )
-    print(f"### {title}: F1 of the classes\n")
-    print("| | " + " | ".join(classes) + " | macro |\n|---|" + "---:|" * (len(classes) + 1))
-    for name, verdicts in verdicts_by_method.items():
-        means = mean_f1(verdicts)
-        cells = []
-        for class_label in classes:
-            values = [np.nan_to_num(v.f1()[class_label]) for v in verdicts if class_label in v.f1()]
-            spread = f" ({min(values):.2f})" if len(values) > 1 else ""
-            cells.append(f"{means[class_label]:.3f}{spread}" if values else "")
-        print(f"| {name} | {' | '.join(cells)} | {np.mean([v.macro for v in verdicts]):.3f} |")
-    print()
 
 
-def goals(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """Targets, and what the best method of the stream reaches."""
-    groups = contest.groups()
+def goals(sets: list[DataSet]) -> None:
+    """Print the goals, and what fused and the best method of the papers reach."""
     print("## Against the goals\n")
-    say("""Goals are for fused, F1, mean over the scans of a group, compared as printed. Beside it
-    the best method of the papers, by its mean.""")
-    print(
-        "| | class | goal | fused | worst scan | reached | papers "
-        "|\n|---|---|---:|---:|---:|---|---|"
-    )
-    fused_names = {method.name for method in fused()}
-    for group, wanted in GOALS.items():
-        items = _streets(groups) if group == STREETS else groups.get(group, [])
-        for name, goal in wanted.items():
-            macro_f1 = {
-                method: scores
-                for method, method_runs in runs.items()
-                if (scores := scores_of(method_runs, items, name))
-            }
-            ours = [scores for method, scores in macro_f1.items() if method in fused_names]
-            if not ours:
+    say("Goals are for fused: F1, mean over the scans of a group, compared as printed.")
+    rows = []
+    for group, items in streets_and_others(sets).items():
+        ours = FUSED if FUSED in methods_of(items) else f"{FUSED}-forest"
+        for name, goal in GOALS.get(group, {}).items():
+            f1 = f1_of(items, ours, name)
+            if not f1:
                 continue
             papers = [
                 (float(np.mean(scores)), method)
-                for method, scores in macro_f1.items()
-                if method not in fused_names
+                for method in methods_of(items)
+                if not method.startswith(FUSED) and (scores := f1_of(items, method, name))
             ]
-            rival = "{:.3f}, {}".format(*max(papers)) if papers else "none"
-            mean = float(np.mean(ours[0]))
-            cells = (
-                f"≥ {goal} | {mean:.3f} | {min(ours[0]):.3f} | {_yes(round(mean, 3) >= goal)} "
-                f"| {rival}"
-            )
-            print(f"| {group} | {name} | {cells} |")
-    print()
-    print_lost(groups.get(SLOW, []), runs)
+            best = "{:.3f}, {}".format(*max(papers)) if papers else "none"
+            reached = "yes" if round(float(np.mean(f1)), 3) >= goal else "no"
+            numbers = (f"{np.mean(f1):.3f}", f"{min(f1):.3f}")
+            rows.append((group, name, f"≥ {goal}", *numbers, reached, best))
+    table(("", "class", "goal", "fused", "worst scan", "reached", "papers"), rows)
 
 
-def scores_of(method_runs: dict[str, Run], items: list[DataSet], name: str) -> list[float]:
-    """Return the F1 of a class, or of cars, poles and curbs, in the scans that hold enough of it.
-
-    Empty: not known.
-    """
-    counts = judged(method_runs, items, name)
-    if counts:
-        return (
-            [f1(label_counts) for label_counts in counts]
-            if any(label_counts[1] for label_counts in counts)
-            else []
-        )
-    return [
-        float(np.nan_to_num(v.f1()[name]))
-        for v in of_group(method_runs, items)
-        if name in v.present
-    ]
-
-
-def print_lost(items: list[DataSet], runs: dict[str, dict[str, Run]]) -> None:
-    """What slow drives cost beside the same streets driven normally."""
-    first, *others = SLOW_DRIVES
-    fused_runs = runs.get(FUSED, {})
-    streets = [
-        item.name.removesuffix(f", {first}") for item in items if item.name.endswith(f", {first}")
-    ]
-    verdicts = {
-        item.name: fused_runs[item.how].verdict.f1() for item in items if item.how in fused_runs
-    }
-    if not streets or not verdicts:
-        return
-    say(f"""Slow drives: F1 of fused on a street driven normally, and what the same street loses
-    when it is driven slowly. Goal: at most {MOST_LOST} of any class.""")
-    print(f"| street | class | {' | '.join(SLOW_DRIVES)} |\n|---|---|{'---:|' * len(SLOW_DRIVES)}")
-    for street in streets:
-        normal = verdicts[f"{street}, {first}"]
-        for name, value in normal.items():
-            lost = [value - verdicts[f"{street}, {drive}"].get(name, np.nan) for drive in others]
-            cells = " | ".join(
-                f"{-loss:+.3f}{' (missed)' if loss > MOST_LOST else ''}" for loss in lost
-            )
-            print(f"| {street} | {name} | {value:.3f} | {cells} |")
-    print()
-
-
-def _yes(reached: bool) -> str:
-    return "yes" if reached else "no"
-
-
-def tables(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """Every scan."""
+def tables(sets: list[DataSet]) -> None:
+    """Print every scan."""
     print("## Scan by scan\n\nMacro F1, and the class that is worst.\n")
-    street = [
-        name
-        for name in runs
-        if any(item.how in runs[name] for item in contest.items if not _is_forest(item))
-    ]
-    forest = [
-        name
-        for name in runs
-        if any(item.how in runs[name] for item in contest.items if _is_forest(item))
-    ]
-    for names, items in (
-        (street, [item for item in contest.items if not _is_forest(item)]),
-        (forest, [item for item in contest.items if _is_forest(item)]),
-    ):
-        if not names:
-            continue
-        print("| scan | returns | " + " | ".join(names) + " |\n|---|---:|" + "---:|" * len(names))
+    forests = [item for item in sets if item.group.startswith(FOREST)]
+    for items in ([item for item in sets if item not in forests], forests):
+        names = methods_of(items)
+        rows = []
         for item in items:
-            runs_by_name = {name: runs[name].get(item.how) for name in names}
-            present_runs = [run for run in runs_by_name.values() if run is not None]
-            cells = [
-                ""
-                if run is None
-                else f"{run.verdict.macro:.3f} ({run.verdict.worst} {_low(run.verdict):.2f})"
-                for run in runs_by_name.values()
-            ]
-            print(
-                f"| {title_of(item)} | {present_runs[0].returns if present_runs else 0:,} "
-                f"| {' | '.join(cells)} |"
-            )
-        print()
+            cells = []
+            for name in names:
+                verdict = item.runs[name].verdict if name in item.runs else None
+                worst = "" if verdict is None else verdict.worst
+                low = 0.0 if verdict is None else np.nan_to_num(verdict.f1()[worst])
+                cells.append("" if verdict is None else f"{verdict.macro:.3f} ({worst} {low:.2f})")
+            n_returns = max((run.n_returns for run in item.runs.values()), default=0)
+            rows.append((item.name, f"{n_returns:,}", *cells))
+        if rows:
+            table(("scan", "returns", *names), rows)
 
 
-def _is_forest(item: DataSet) -> bool:
-    return item.group in (FOREST, FOREST_NOISY, FOREST_CYLINDERS)
+def things(sets: list[DataSet]) -> None:
+    """Print cars, poles and curbs."""
+    print("## Cars, poles, curbs\n")
+    say("""First returns, all shots with a known reference: F1 (precision, recall; worst scan). A
+    curb is right if one of the reference is within 10 cm. A scan counts if it holds 100 shots of
+    the thing. Methods that never find it are left out.""")
+    groups = by_group(sets)
+    for name in ("car", "pole", CURB):
+        rows = []
+        for method in methods_of(sets):
+            cells = []
+            for items in groups.values():
+                every = [run.things.get(name, [0]) for run in runs_of(items, method)]
+                counts = [three for three in every if three[-1] >= LEAST_SHOTS]
+                f1 = f1_of(items, method, name)
+                if not f1 or not any(found for _, found, _ in counts):
+                    cells.append("")
+                    continue
+                precision = np.mean([agree / max(found, 1) for agree, found, _ in counts])
+                recall = np.mean([agree / reference for agree, _, reference in counts])
+                cells.append(f"{np.mean(f1):.3f} ({precision:.2f}, {recall:.2f}; {min(f1):.2f})")
+            if any(cells):
+                rows.append((method, *cells))
+        print(f"### {name[0].upper()}{name[1:]}\n")
+        table(("", *groups), rows)
 
 
-def _low(verdict: Verdict) -> float:
-    return float(np.nan_to_num(verdict.f1()[verdict.worst]))
-
-
-def confusion(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """Confusion matrices, and predictions for reference classes that are not judged."""
-    print("## Confusion\n\nShare of the reference's row. Rows below the line are not judged.\n")
-    for group, items in contest.groups().items():
-        for name, method_runs in runs.items():
-            verdicts = of_group(method_runs, items)
-            if verdicts and (name in shown_in_full(runs) or len(runs) == 1):
-                print_confusion(f"{group}: {name}", pooled(verdicts))
-
-
-def shown_in_full(runs: dict[str, dict[str, Run]]) -> set[str]:
-    """Return the methods whose confusion is shown: fused ones, or all if there are none."""
-    fused_names = {method.name for method in fused()} & set(runs)
-    return fused_names or set(runs)
-
-
-def print_confusion(title: str, verdict: Verdict) -> None:
-    print(f"### {title}\n")
-    print(
-        "| reference | "
-        + " | ".join(verdict.columns)
-        + " | returns |\n|---|"
-        + "---:|" * (len(verdict.columns) + 1)
-    )
-    for row, counts in zip(verdict.rows, verdict.counts, strict=True):
-        if counts.sum():
-            print(
-                f"| {row} | {' | '.join(printed_at(n / counts.sum()) for n in counts)} | "
-                f"{counts.sum():,} |"
-            )
-    for name, became in verdict.others.items():
-        total = sum(became.values())
-        cells = [printed_at(became.get(column, 0) / total) for column in verdict.columns]
-        print(f"| *{name}* | {' | '.join(cells)} | {total:,} |")
-    print()
-
-
-def against_peers(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """Filters of registered clouds on the same points."""
+def against_peers(sets: list[DataSet]) -> None:
+    """Print filters of registered clouds beside the methods of the stream."""
     print("## Filters of registered clouds\n")
     say("""These filters get every return with its true world coordinates (simulated scans: the
     simulated pose; Oakland: the set's own x, y, z; KITTI: the frame itself). Parameters: as their
-    authors recommend and, except for SMRF, as tuned on streets of seeds 9001, 9004 and 9006 by
-    <code>python -m benchmarks.contest_tune</code>. Ground filters run alone and after the best
-    noise filter. F1 of ground and noise: mean over the scans, worst in brackets. Seconds of
-    processor time per million returns; peak memory of the process, Python and points included.""")
-    missing = sorted(
-        {
-            peers.PACKAGES[f]
-            for chain in CHAINS.values()
-            for f in (s["filter"] for s in chain)
-            if peers.installed(f) is None
-        }
-    )
-    if missing:
-        print(f"Not installed when this was run: {', '.join(missing)}.\n")
-    items = [item for item in contest.items if item.with_peers]
-    peer_runs = {item.how: contest.store.peer_runs(item, CHAINS) for item in items}
-    if left_out := [title_of(item) for item in items if not peer_runs[item.how]]:
-        print(f"Not run yet, and left out here: {'; '.join(left_out)}.\n")
-    items = [item for item in items if peer_runs[item.how]]
+    authors recommend and, except for SMRF, as tuned on streets of seeds 9001, 9004 and 9006.
+    Ground filters run alone and after the best noise filter. F1 of ground and noise: mean over the
+    scans, worst in brackets. Seconds of processor time per million returns.""")
+    items = [item for item in sets if any(name.startswith("*") for name in item.runs)]
     if not items:
+        print("Not run: no scan for them, or no package.\n")
         return
-    rows: dict[str, dict[str, Run]] = {
-        name: method_runs
-        for name, method_runs in runs.items()
-        if any(item.how in method_runs for item in items)
-    }
-    for chain in CHAINS:
-        chain_runs = {
-            how: peer_run[chain] for how, peer_run in peer_runs.items() if chain in peer_run
-        }
-        if chain_runs:
-            rows[f"*{chain}*"] = chain_runs
-    names = {
-        "simulated streets": [item for item in items if item.group in STREET_GROUPS],
-        OAKLAND: [item for item in items if item.group == OAKLAND],
-        OAKLAND_NOISY: [item for item in items if item.group == OAKLAND_NOISY],
-        KITTI: [item for item in items if item.group == KITTI],
-    }
-    names = {name: chain_runs for name, chain_runs in names.items() if chain_runs}
-    print(
-        "| | " + " | ".join(f"{name}: ground | noise" for name in names) + " | s / million | MiB |"
-    )
-    print("|---|" + "---:|---:|" * len(names) + "---:|---:|")
-    for name, row_runs in rows.items():
-        cells = [cell for group in names.values() for cell in _two_scores(row_runs, group)]
-        used = [row_runs[item.how] for item in items if item.how in row_runs]
-        seconds = sum(run.cpu_s for run in used) / sum(run.returns for run in used) * 1e6
-        memory = max(run.peak_mib for run in used)
-        cells += [f"{seconds:.2f}", "" if np.isnan(memory) else f"{memory:,.0f}"]
-        print(f"| {name} | {' | '.join(cells)} |")
-    print()
-    print_best(rows, names, set(runs))
+    groups = streets_and_others(items)
+    names = dict.fromkeys(name for item in items for name in item.runs)
+    rows = []
+    for name in names:
+        runs = runs_of(items, name)
+        cells = []
+        for group_items in groups.values():
+            for kind in ("ground", "noise"):
+                present = [item for item in group_items if name in item.runs]
+                f1 = f1_of(present, name, kind)
+                cells.append(mean_and_worst(f1) if any(f1) else "")
+        seconds = sum(run.cpu_s for run in runs) / sum(run.n_returns for run in runs) * 1e6
+        rows.append((name, *cells, f"{seconds:.2f}"))
+    columns = (f"{group}: {kind}" for group in groups for kind in ("ground", "noise"))
+    table(("", *columns, "s / million"), rows)
     commands('pip install ".[peers]"', "python -m benchmarks.contest peers")
 
 
-def _two_scores(method_runs: dict[str, Run], items: list[DataSet]) -> list[str]:
-    cells = []
-    for name in JUDGED_OF_PEERS:
-        values = f1_of(method_runs, items, name)
-        spread = f" ({min(values):.2f})" if len(values) > 1 else ""
-        cells.append(f"{np.mean(values):.3f}{spread}" if values else "")
-    return cells
+def confusion(sets: list[DataSet]) -> None:
+    """Print confusion matrices of fused, and predictions for classes that are not judged."""
+    print("## Confusion\n\nShare of the reference's row. Rows in italics are not judged.\n")
+    for group, items in by_group(sets).items():
+        for name in (FUSED, f"{FUSED}-forest"):
+            verdicts = [run.verdict for run in runs_of(items, name)]
+            if not verdicts:
+                continue
+            whole = pooled(verdicts)
+            counts = dict(zip(whole.rows, whole.counts, strict=True))
+            counts |= {f"*{kind}*": np.array(list(n.values())) for kind, n in whole.others.items()}
+            print(f"### {group}: {name}\n")
+            table(
+                ("reference", *whole.columns, "returns"),
+                (
+                    (row, *(printed_at(n / cells.sum()) for n in cells), f"{cells.sum():,}")
+                    for row, cells in counts.items()
+                    if cells.sum()
+                ),
+            )
 
 
-def f1_of(method_runs: dict[str, Run], items: list[DataSet], name: str) -> list[float]:
-    """Return the F1 of a class in the scans that have it; empty if the method never predicts it."""
-    verdicts = of_group(method_runs, items)
-    called = sum(int(verdict.counts[:, verdict.columns.index(name)].sum()) for verdict in verdicts)
-    return (
-        [float(np.nan_to_num(v.f1()[name])) for v in verdicts if name in v.present]
-        if called
-        else []
-    )
-
-
-def print_best(
-    rows: dict[str, dict[str, Run]], groups: dict[str, list[DataSet]], fused_names: set[str]
-) -> None:
-    """The best filter of each column beside the best method of the stream that runs on all its
-    scans."""
-    print("| | best filter of registered clouds | best of the stream |\n|---|---|---|")
-    for group, items in groups.items():
-        for name in JUDGED_OF_PEERS:
-            sides: dict[bool, list[tuple[float, str]]] = {False: [], True: []}
-            for row, runs in rows.items():
-                values = f1_of(runs, items, name)
-                if values and all(item.how in runs for item in items):
-                    sides[row in fused_names].append((float(np.mean(values)), row.strip("*")))
-            if all(sides.values()):
-                cells = [
-                    f"{value:.3f}, {row}" for value, row in (max(sides[False]), max(sides[True]))
-                ]
-                print(f"| {group}: {name} | {' | '.join(cells)} |")
-    print()
-
-
-def things(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """Cars, poles and curbs."""
-    print("## Cars, poles, curbs\n")
-    say("""First returns, all shots with a known reference. A curb is right if one of the reference
-    is within 10 cm. A scan counts if it holds 100 shots of the thing. Methods that never find it
-    are left out.""")
-    print_things(contest.groups(), runs)
-
-
-def drives(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """Real scans without a reference."""
-    print_drives()
-
-
-def speed(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """Million shots a second, on all cores."""
+def speed(sets: list[DataSet]) -> None:
+    """Print million shots a second, on all cores."""
     print("## Speed\n")
-    say(f"""The scan is repeated to about {SPEED_SHOTS // 1_000_000} million shots, in memory,
-    threads on all cores; the shortest of {SPEED_RUNS} runs by wall time and by processor time,
-    which other load disturbs less.""")
-    print("| | scan | million shots a second | a second of one core |\n|---|---|---:|---:|")
-    chosen = {item.group: item for item in reversed(contest.items)}
-    for group in (PHOTON, STREET_GROUPS[2], FOREST):
-        if group not in chosen:
+    say("""The scan is repeated to about 8 million shots, in memory, threads on all cores; the
+    shortest of 3 runs by wall time and by processor time, which other load disturbs less.""")
+    groups = by_group(sets)
+    rows = []
+    for group in (*STREET_GROUPS.values(), FOREST):
+        if group not in groups:
             continue
-        scan = repeated(contest.store.scan(chosen[group]))
-        for method in contest.methods:
+        scan = repeated(groups[group][0].make())
+        shots = scan.n_shots / 1e6
+        for method in METHODS:
             if method.takes(scan):
-                wall_s, cpu_s = quickest(scan, method)
-                shots = scan.n_shots / 1e6
-                print(
-                    f"| {method.name} | {scan.name} | {shots / wall_s:.1f} | {shots / cpu_s:.1f} |"
-                )
-    print()
+                runs = [label(scan, method.config(scan)) for _ in range(3)]
+                by_wall = shots / min(run.wall_s for run in runs)
+                by_cpu = shots / min(run.cpu_s for run in runs)
+                rows.append((method.name, scan.name, f"{by_wall:.1f}", f"{by_cpu:.1f}"))
+    table(("", "scan", "million shots a second", "a second of one core"), rows)
 
 
 def repeated(scan: Scan) -> Scan:
-    """Return a scan with repeated lines, without fields that do not affect speed."""
+    """Return a scan with repeated lines, without values that do not affect speed."""
     times = max(1, SPEED_SHOTS // scan.n_shots)
-    every = np.concatenate([np.arange(len(scan.range_m))] * times)
-    time_s = None
-    if scan.time_s is not None:
-        step_s = float(scan.time_s[-1, 0] - scan.time_s[0, 0]) * (
-            1 + 1 / max(len(scan.time_s) - 1, 1)
-        )
-        time_s = np.concatenate([scan.time_s + k * step_s for k in range(times)])
-    intensity = None if scan.intensity is None else scan.intensity[every]
-    extra = Scan.__dataclass_fields__["extra"].default_factory()  # type: ignore[misc]
+    time_s = scan.time_s
+    if time_s is not None:
+        turn_s = float(time_s[-1, 0] - time_s[0, 0]) * (1 + 1 / max(len(time_s) - 1, 1))
+        time_s = np.concatenate([time_s + k * turn_s for k in range(times)])
+    intensity = None if scan.intensity is None else np.tile(scan.intensity, (times, 1))
     return replace(
         scan,
-        range_m=scan.range_m[every],
+        range_m=np.tile(scan.range_m, (times, 1)),
         time_s=time_s,
         intensity=intensity,
-        extra=extra,
+        extra=ExtraReturns.none(),
         world_m=None,
         codes=np.zeros((0, 0), np.int64),
     )
 
 
-def quickest(scan: Scan, method: Method) -> tuple[float, float]:
-    """Return the shortest time by the clock and of all cores [s]."""
-    config = method.config(scan)
-    runs = [label(scan, config) for _ in range(SPEED_RUNS)]
-    return min(run.wall_s for run in runs), min(run.cpu_s for run in runs)
-
-
-def about(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """Data, methods, and dates of the runs."""
+def about(sets: list[DataSet]) -> None:
+    """Print scans, methods, and what was warned of."""
     print("## Scans\n")
     say("""Simulated scans are drives of 30 to 160 m and walks of 15 m. Noise: the preset's own
     (phase scanners), or the given share of background light; 0 % leaves only mixed ranges at edges.
     Phase scanners: the simulator's own shares of background, scaled. Pulsed scanners have no
     background in the simulator; it is added at random shots, a quarter of it within 30 cm of the
-    surface. None of these seeds was used to choose a parameter.""")
-    print("| scan | shots | returns | share of the judged classes |\n|---|---:|---:|---|")
-    for item in contest.items:
-        first_run = next((runs[name][item.how] for name in runs if item.how in runs[name]), None)
-        if first_run is None:
-            continue
-        sums = first_run.verdict.counts.sum(axis=1)
-        shares = ", ".join(
-            f"{name} {n / sums.sum():.1%}"
-            for name, n in zip(first_run.verdict.rows, sums, strict=True)
-            if n
-        )
-        print(f"| {title_of(item)} | {first_run.shots:,} | {first_run.returns:,} | {shares} |")
-    print("\n## Methods\n\n| | as | run (UTC) |\n|---|---|---|")
-    for method in contest.methods:
-        whens = sorted(run.when for run in runs.get(method.name, {}).values())
-        if whens:
-            between = whens[0] if whens[0] == whens[-1] else f"{whens[0]} to {whens[-1]}"
-            print(f"| {method.name} | `{method.command()}` | {between} |")
-    print()
+    surface. None of these seeds was used to choose a parameter. Every run is <code>prc classify
+    -q</code> on a file with ranges and scan angles; straight down is told
+    (<code>--set input.nadir=DEG</code>) only where prc refuses the file without it.""")
+    rows = []
+    for item in sets:
+        run = next(iter(item.runs.values()), None)
+        if run is not None:
+            sums = run.verdict.counts.sum(axis=1)
+            parts = zip(run.verdict.rows, sums, strict=True)
+            shares = ", ".join(f"{name} {n / sums.sum():.1%}" for name, n in parts if n)
+            said = {line for run in item.runs.values() for line in run.said}
+            rows.append((item.name, f"{run.n_returns:,}", shares, len(said) or ""))
+    table(("scan", "returns", "share of the judged classes", "warnings and refusals"), rows)
+    print("## Methods\n")
+    table(("", "as"), ((method.name, f"`{method.command()}`") for method in METHODS))
     say("""The sequential-angle classifier also gets the ranging noise of the scanner (10 mm for
     push-brooms, 20 mm for KITTI, else the preset's 5 mm). Vertical surfaces count as building,
     horizontal ones as ground; the method has no noise class.""")
-    print_door(contest, runs)
 
 
-def print_door(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """Where straight down had to be told, and what the program doubted or refused."""
-    print("## Through the door\n")
-    say("""Every run is <code>prc classify -q</code> on a file with ranges and scan angles, straight
-    down not told. Where that is refused, it is told (<code>--set input.nadir=DEG</code>).""")
-    print("| | scans | down had to be told | doubted | refused still |\n|---|---:|---:|---:|---:|")
-    where: dict[tuple[str, str], list[str]] = {}
-    titles = {item.how: title_of(item) for item in contest.items}
-    for name, method_runs in runs.items():
-        n_down_known = sum(run.is_down_told for run in method_runs.values())
-        doubted = sum(any("warning: " in line for line in run.said) for run in method_runs.values())
-        refused = sum(
-            sum("error: " in line for line in run.said) > run.is_down_told
-            for run in method_runs.values()
-        )
-        print(
-            f"| {name} | {len(method_runs)} | {n_down_known or ''} | {doubted or ''} | "
-            f"{refused or ''} |"
-        )
-        for how, run in method_runs.items():
-            for line in run.said:
-                said = re.sub(r"\d+ %", "N %", line)
-                where.setdefault((name, said), []).append(titles[how])
-    print()
-    for (name, said), scans in where.items():
-        print(f"- {name}, exit code {said} ({'; '.join(dict.fromkeys(scans))})")
-    print()
-
-
-Part = Callable[[Contest, dict[str, dict[str, Run]]], None]
-PARTS: dict[str, Part] = {
+PARTS: dict[str, Callable[[list[DataSet]], None]] = {
     "summary": summary,
     "goals": goals,
     "tables": tables,
@@ -596,53 +440,27 @@ PARTS: dict[str, Part] = {
     "peers": against_peers,
     "confusion": confusion,
     "speed": speed,
-    "drives": drives,
     "about": about,
 }
-QUICK_PARTS = ("summary", "goals", "tables", "confusion")
+QUICK = ("summary", "goals", "tables", "things", "confusion", "about")
 
 
 def main() -> None:
     """Print the page."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; default: all"
-    )
+    parser = parser_of(__doc__)
+    parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(PARTS))
     parser.add_argument("--quick", action="store_true", help="three scans, streams only")
-    parser.add_argument(
-        "--kept",
-        action="store_true",
-        help="filters of registered clouds: show only what was run before",
-    )
-    parser.add_argument(
-        "--only", metavar="TEXT", help="only scans whose name or group holds this text"
-    )
-    parser.add_argument(
-        "--cache", type=Path, default=Path(tempfile.gettempdir()) / "prc_contest", metavar="FOLDER"
-    )
+    parser.add_argument("--only", default="", metavar="TEXT", help="scans of this name or group")
     arguments = parser.parse_args()
-    for part in arguments.parts:
-        if part not in PARTS:
-            parser.error(f"found {part!r}, expected {', '.join(PARTS)}")
-    start = time.perf_counter()
-    report_progress: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True)  # noqa: E731
-    items = tuple(
-        data_set
-        for data_set in data_sets()
-        if not arguments.only or arguments.only in f"{data_set.group} {data_set.name}"
-    )
+    parts = arguments.parts or (QUICK if arguments.quick else PARTS)
+    sets = [item for item in data_sets() if arguments.only in f"{item.group} {item.name}"]
     if arguments.quick:
-        items = tuple(data_set for data_set in items if data_set.name in _quick_names())
-    contest = Contest(
-        Store(arguments.cache, report_progress),
-        items,
-        (*PAPERS, *fused(), *TO_THE_TOP),
-        arguments.quick,
-    )
-    contest.store.only_kept = arguments.kept
-    runs = contest.all_runs(contest.methods)
+        firsts = {item.group: item for item in reversed(sets)}
+        quick = (STREET_GROUPS["photon-80"], OAKLAND, FOREST)
+        sets = [firsts[group] for group in quick if group in firsts]
+    chains = peers.chains() if "peers" in parts else {}
+    for item in sets if set(parts) - {"speed"} else ():
+        item.run(METHODS, chains)
     print(heading("The contest: figures", "contest"))
     say("""Generated tables behind [the accuracy of prc](../accuracy.md). Parameters are those of
     the presets and the same for all scans, except where a row says otherwise. Tuning used other
@@ -650,15 +468,9 @@ def main() -> None:
     noise, ground, building, vegetation; in forests also stems. Cars, poles and curbs have tables of
     their own. Signs, wires and people are not scored; the confusion tables show what they are
     predicted as.""")
-    for part in arguments.parts or (QUICK_PARTS if arguments.quick else PARTS):
-        PARTS[part](contest, runs)
+    for part in parts:
+        PARTS[part](sets)
     print(duration())
-    report_progress(f"{contest.store.n_new} new runs, {time.perf_counter() - start:.0f} s")
-
-
-def _quick_names() -> tuple[str, ...]:
-    streets = [data_set.name for data_set in data_sets() if data_set.group in STREET_GROUPS]
-    return (streets[1], "Oakland strip 2", "mixed forest")
 
 
 if __name__ == "__main__":

@@ -5,25 +5,19 @@ Every scan has the measurements of a scanner (ranges, angles, times, intensities
 the reference class of every shot, and registered coordinates. Methods of the stream do not get the
 coordinates.
 
-    # streets and forests for tuning, seeds 9001-9199
-    python -m benchmarks.contest_data train FOLDER
-    python -m benchmarks.contest_data real FOLDER        # the real scans in the same form
-
-Seeds 7201-7399 are for reporting; nothing is tuned on them. 7001-7199 were looked at after every
-change and are spent."""
+Seeds 9001-9199 are for tuning, 7201-7399 for reporting: nothing is tuned on them. Seeds 7001-7199
+were looked at after every change and are spent."""
 
 from __future__ import annotations
 
-import argparse
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from benchmarks.pages import DATA, ROOT
 from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.stream import ExtraReturns, ScanBlock
@@ -32,9 +26,6 @@ from prc_cli.jobs.classify import open_stream
 from prc_cli.simulation.drive import SimulatedBlock, SimulatedScan
 from prc_cli.simulation.settings import Kind, load_settings, open_simulation
 from prc_cli.simulation.trajectory import aim
-
-ROOT = Path(__file__).resolve().parent.parent
-DATA = Path(os.environ.get("PRC_DATA", ROOT.parent / "shared" / "data"))
 
 LINES_AT_ONCE = 256
 """Lines per block for the classifiers."""
@@ -90,6 +81,10 @@ class Scan:
     @property
     def n_shots(self) -> int:
         return self.range_m.size
+
+    @property
+    def n_returns(self) -> int:
+        return int(np.count_nonzero(~np.isnan(self.range_m))) + len(self.extra)
 
     def blocks(self, lines: int = LINES_AT_ONCE) -> Iterator[ScanBlock]:
         """Return the scan as a stream, as from a reader."""
@@ -303,28 +298,6 @@ def _with_background(
     ), origin_m
 
 
-def save(scan: Scan, path: Path) -> None:
-    """Write a scan for ``prc classify``, with coordinates and further returns."""
-    arrays: dict[str, NDArray[Any]] = {
-        "range_m": scan.range_m,
-        "angle_deg": np.rad2deg(scan.angle_rad),
-        "class": scan.codes.astype(np.int32),
-        "cos_tilt": np.float64(scan.cos_tilt) * np.ones(1),
-        "extra_line": scan.extra.line,
-        "extra_column": scan.extra.column,
-        "extra_range_m": scan.extra.range_m,
-        "extra_class": scan.extra_codes.astype(np.int32),
-    }
-    optional = {"time_s": scan.time_s, "intensity": scan.intensity, "scanner_m": scan.scanner_m}
-    arrays |= {name: values for name, values in optional.items() if values is not None}
-    if scan.world_m is not None:
-        origin = np.floor(np.nanmean(scan.world_m, axis=(0, 1)))
-        arrays["world_m"] = (scan.world_m - origin).astype(np.float32)
-        arrays["world_origin_m"] = origin
-        arrays["extra_world_m"] = (scan.extra_world_m - origin).astype(np.float32)
-    np.savez(path, **arrays)
-
-
 TRAIN = (
     Simulated("residential, photon-80, gap up, preset noise", 9001, 80, "residential"),
     Simulated(
@@ -495,11 +468,6 @@ NOISY_FORESTS = tuple(
     for spec in TEST_FORESTS
 )
 """The same with another scanner."""
-SLOW_STREETS = tuple(
-    Simulated(scene, 7221 + i, 30, scene, noise=0.0)
-    for i, scene in enumerate(("residential", "suburb", "boulevard"))
-)
-"""Streets for slow drives (benchmarks.slow)."""
 OAKLAND_NOISE = 0.05
 """Background added to the real strips, to judge noise among real surfaces."""
 
@@ -654,79 +622,3 @@ def scanner_places(world_m: F64, range_m: F32, angle_rad: F64) -> F64:
     known = np.flatnonzero(~np.isnan(places[:, 0]))
     every = np.arange(len(places))
     return np.stack([np.interp(every, known, places[known, axis]) for axis in range(3)], axis=1)
-
-
-def park() -> Scan:
-    """Return the park scan, without reference."""
-    with np.load(DATA / "forest" / "tls_park.npz") as arrays:
-        ranges = arrays["range_m"]
-        zenith = arrays["zenith_deg"]
-    if zenith[0] < zenith[-1]:
-        ranges = ranges[:, ::-1]
-        zenith = zenith[::-1]
-    ranges = np.ascontiguousarray(ranges, dtype=np.float32)
-    return Scan(
-        "park",
-        ranges,
-        np.deg2rad(180.0 - zenith),
-        np.zeros(ranges.shape, np.int64),
-        "forest",
-        is_upright=True,
-    )
-
-
-README = """Data of the contest (issue 8), made by `python -m benchmarks.contest_data`; the tuning
-share only.
-
-train/street_90xx.npz, train_forest/forest_91xx.npz   simulated, seeds 9001-9199
-real/oakland_{1,2,3}.npz (strip 1 is the train share), real/park.npz
-
-Keys: range_m (lines, M) float32 [m], NaN = no return
-      angle_deg (M,) from straight down within the scan plane, positive = left
-      time_s (lines, M); intensity (lines, M)
-      class (lines, M) int32: reference. Simulated: 0 missing, 1 other (poles, signs, wires,
-      people), 2 ground,
-        5 vegetation, 6 building, 7 noise, 64 stem, 65 car, 66 curb (judged as ground), 67 vertical,
-        68 horizontal. Oakland: the numbers of the set (mapping `oakland`).
-      extra_line, extra_column, extra_range_m, extra_class: further returns (profiler-1mhz), beyond
-      range_m's cos_tilt (1,): cosine of the tilt of the scan plane (a truth of the simulator; not
-      in a stream) world_m + world_origin_m, scanner_m (lines, 3): registered coordinates. Not for
-      methods of the stream.
-`prc classify X.npz` reads them (ranges, angles, times, intensities alone), `prc evaluate labels.npy
-X.npz --mapping prc` judges. In Python: benchmarks.contest_data.simulated(spec) gives a Scan,
-.blocks() a stream of ScanBlock with the further returns, for pipeline.label_blocks.
-
-"""
-
-
-def main() -> None:
-    """Write the scans for tuning, or the real ones."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("what", choices=("train", "real"))
-    parser.add_argument("folder", type=Path)
-    arguments = parser.parse_args()
-    folder: Path = arguments.folder
-    folder.mkdir(parents=True, exist_ok=True)
-    scans: Iterator[tuple[str, Scan]]
-    if arguments.what == "train":
-        scans = ((f"{spec.kind}_{spec.seed}", simulated(spec)) for spec in (*TRAIN, *TRAIN_FOREST))
-    else:
-        scans = iter([(f"oakland_{n}", oakland(n)) for n in (1, 2, 3)] + [("park", park())])
-    (folder / "README.txt").write_text(README, encoding="utf-8")
-    for stem, scan in scans:
-        save(scan, folder / f"{stem}.npz")
-        n = np.bincount(scan.codes[~np.isnan(scan.range_m)].ravel(), minlength=1)
-        shares = {int(code): round(float(n[code] / n.sum()), 3) for code in np.flatnonzero(n)[:20]}
-        row = (
-            f"{stem}: {scan.name}: {scan.range_m.shape}, {len(scan.extra)} further returns, "
-            f"{shares}"
-        )
-        print(row)
-        with (folder / "README.txt").open("a", encoding="utf-8") as handle:
-            handle.write(row + "\n")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,11 +1,10 @@
-"""Scores of the contest: confusion by blocks of lines, F1 of classes that exist in the scan."""
+"""Scores of the contest: confusion, and F1 of classes that exist in the scan."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,8 +60,6 @@ UNKNOWN = {"oakland": [0, 1001, 1002, 1003], "views_nuscenes": [10]}
 CURB = "curb, 10 cm"
 CURB_M = 0.1
 """Tolerance of curbs [m]."""
-BLOCKS = 20
-"""Number of blocks of lines that are counted apart."""
 LEAST_SHARE = 0.005
 """Least share of judged returns for a class to exist in a scan.
 
@@ -76,16 +73,10 @@ class Verdict:
 
     rows: tuple[str, ...]
     columns: tuple[str, ...]
-    blocks: I64
-    """(blocks, rows, columns) int64, reference by predicted."""
+    counts: I64
+    """(rows, columns) int64, reference by predicted."""
     others: dict[str, dict[str, int]] = field(default_factory=dict)
     """By name of reference codes that are not judged: number of returns per predicted class."""
-
-    @property
-    def counts(self) -> I64:
-        """(rows, columns) int64."""
-        total: I64 = self.blocks.sum(axis=0)
-        return total
 
     @property
     def present(self) -> tuple[str, ...]:
@@ -134,30 +125,21 @@ class Verdict:
             counts = others.setdefault(name, {})
             for column, n in became.items():
                 counts[column] = counts.get(column, 0) + n
-        return Verdict(
-            self.rows, self.columns, np.concatenate([self.blocks, verdict.blocks]), others
-        )
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the verdict as plain values for JSON."""
-        table = {
-            "rows": self.rows,
-            "columns": self.columns,
-            "blocks": self.blocks.tolist(),
-            "others": self.others,
-        }
-        return dict(table)
-
-    @classmethod
-    def of(cls, table: dict[str, Any]) -> Verdict:
-        """Inverse of :meth:`as_dict`."""
-        blocks = np.array(table["blocks"], np.int64)
-        return cls(tuple(table["rows"]), tuple(table["columns"]), blocks, table["others"])
+        return Verdict(self.rows, self.columns, self.counts + verdict.counts, others)
 
 
 @lru_cache(maxsize=8)
 def mapping_of(name: str) -> ClassMapping:
     return load_mapping(MAPPINGS[name])
+
+
+def counted(mapping: ClassMapping, predicted: I64, reference: I64) -> I64:
+    """Return how many records have every pair of classes, (rows, columns) int64."""
+    counts = GroupedCounts(mapping, "all")
+    rows = mapping.class_indices(reference, "reference")
+    counts.add(np.zeros(len(rows), np.int64), cells_of(mapping, predicted, rows))
+    total: I64 = counts.scored().sum(axis=0)
+    return total
 
 
 def judge(scan: Scan, codes: NDArray[np.integer], extra_codes: NDArray[np.integer]) -> Verdict:
@@ -173,16 +155,11 @@ def judge(scan: Scan, codes: NDArray[np.integer], extra_codes: NDArray[np.intege
     """
     mapping = mapping_of(scan.mapping)
     there = ~np.isnan(scan.range_m)
-    line = np.concatenate([np.nonzero(there)[0], scan.extra.line])
     predicted = np.concatenate([codes[there], extra_codes]).astype(np.int64)
     reference = np.concatenate([scan.codes[there], scan.extra_codes])
     # returns left out by a method count as unclassified
     predicted[predicted == 0] = 1
-    per_block = max(1, -(-len(scan.range_m) // BLOCKS))
-    counts = GroupedCounts(mapping, "blocks")
-    rows = mapping.class_indices(reference, "reference")
-    counts.add((line // per_block).astype(np.int64), cells_of(mapping, predicted, rows))
-    rows = mapping.names("reference")
+    counts = counted(mapping, predicted, reference)
     columns = mapping.names("predicted")
     index = mapping.class_indices(predicted, "predicted")
     others = {}
@@ -190,7 +167,7 @@ def judge(scan: Scan, codes: NDArray[np.integer], extra_codes: NDArray[np.intege
         n = np.bincount(index[np.isin(reference, listed)], minlength=len(columns))
         if n.sum():
             others[name] = dict(zip(columns, n.tolist(), strict=True))
-    return Verdict(rows, columns, counts.scored(), others)
+    return Verdict(mapping.names("reference"), columns, counts, others)
 
 
 def judge_things(scan: Scan, codes: NDArray[np.integer]) -> dict[str, list[float]]:

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import contest_files
-from benchmarks.contest_data import ROOT, Scan
+from benchmarks.contest_data import Scan
+from benchmarks.pages import ROOT
 from benchmarks.user import in_process
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.config import merge
-from prc_cli.core.errors import ConfigError
 from prc_cli.core.threads import default_threads
 from prc_cli.core.types import U8
 from prc_cli.jobs.classify import label_blocks, load_classifier
@@ -123,16 +123,12 @@ The cylinders of the reference end 4.3 m above the ground, which is 4.6 m in a
 plane tilted by 20°. Higher parts of a stem are noise in that reference by definition."""
 
 
-def fused() -> tuple[Method, ...]:
-    """Return the fused presets that exist."""
-    methods = []
-    for name, mappings in ((FUSED, STREETS), (f"{FUSED}-forest", FORESTS)):
-        try:
-            load_config(preset=name)
-        except ConfigError:
-            continue
-        methods.append(Method(name, name, mappings=mappings))
-    return tuple(methods)
+METHODS = (
+    *PAPERS,
+    Method(FUSED, FUSED),
+    Method(f"{FUSED}-forest", f"{FUSED}-forest", mappings=FORESTS),
+    *TO_THE_TOP,
+)
 
 
 @dataclass(frozen=True, slots=True)

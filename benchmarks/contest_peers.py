@@ -1,31 +1,25 @@
-"""Filters of registered clouds, run on the points of the contest with full 3-D coordinates, each in
-its own process.
+"""Filters of registered clouds, run on the points of the contest with full 3-D coordinates.
 
 Optional: ``pip install .[peers]`` installs cloth-simulation-filter, pypatchworkpp and open3d;
 missing packages are reported. SMRF is implemented here after Pingel et al. (2013), because pip has
 no package of it.
-
-    # one chain; a step is JSON
-    python -m benchmarks.contest_peers POINTS.npz OUT.npz STEP [STEP ...]
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import resource
-import sys
 import time
 from collections.abc import Callable
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from prc_cli.core.types import F64, I32, Mask
+from benchmarks.contest_data import Scan
+from prc_cli.core.types import F64, I32, U8, Mask
+
+Step: TypeAlias = dict[str, Any]
+"""A filter and its parameters."""
 
 NOISE = 7
 OTHER = 1
@@ -59,6 +53,28 @@ class Points:
     def some(self, which: Mask) -> Points:
         """Return some of the points."""
         return Points(self.xyz_m[which], self.line[which], self.scanner_m, self.height_m)
+
+    def no_codes(self) -> U8:
+        """Return codes before any filter, (n,)."""
+        return np.full(len(self.xyz_m), OTHER, np.uint8)
+
+
+def points_of(scan: Scan) -> Points:
+    """Return all returns of a scan with registered coordinates, further returns at the end."""
+    assert scan.world_m is not None
+    assert scan.scanner_m is not None
+    there = ~np.isnan(scan.range_m)
+    xyz = np.concatenate([scan.world_m[there], scan.extra_world_m])
+    line = np.concatenate([np.nonzero(there)[0], scan.extra.line]).astype(np.int32)
+    return Points(xyz, line, scan.scanner_m, scan.height_m)
+
+
+def as_image(scan: Scan, codes: U8) -> tuple[U8, U8]:
+    """Split codes of points into those of shots, (lines, M), and of further returns, (e,)."""
+    there = ~np.isnan(scan.range_m)
+    image = np.zeros(scan.range_m.shape, np.uint8)
+    image[there] = codes[: np.count_nonzero(there)]
+    return image, codes[np.count_nonzero(there) :]
 
 
 def installed(name: str) -> str | None:
@@ -243,71 +259,66 @@ FILTERS: dict[str, Callable[..., Mask]] = {
 NOISE_FILTERS = ("statistical", "radius")
 
 
-def run(
-    points: Points, steps: list[dict[str, Any]], before: NDArray[np.uint8] | None = None
-) -> tuple[NDArray[np.uint8], float]:
-    """Run filters one after the other, starting from the given codes.
-
-    Returns
-    -------
-    (n,) uint8 and float
-        Codes, and CPU seconds of all cores.
-    """
-    codes = np.full(len(points.xyz_m), OTHER, dtype=np.uint8) if before is None else before.copy()
+def step(points: Points, options: Step, before: U8) -> tuple[U8, float]:
+    """Run a filter on the points that are no noise; return codes, and CPU seconds of all cores."""
+    name, parameters = options["filter"], {key: options[key] for key in options if key != "filter"}
+    codes = before.copy()
+    rest = codes != NOISE
     start = time.process_time()
-    for step in steps:
-        options = dict(step)
-        name = options.pop("filter")
-        rest = codes != NOISE
-        is_ground = FILTERS[name](points.some(rest), **options)
-        codes[np.flatnonzero(rest)[is_ground]] = NOISE if name in NOISE_FILTERS else GROUND
+    marked = FILTERS[name](points.some(rest), **parameters)
+    codes[np.flatnonzero(rest)[marked]] = NOISE if name in NOISE_FILTERS else GROUND
     return codes, time.process_time() - start
 
 
-def main() -> None:
-    """Run one chain of filters in this process; used by ``benchmarks.contest``."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("points", type=Path)
-    parser.add_argument("output", type=Path)
-    parser.add_argument("steps", nargs="+", type=json.loads)
-    parser.add_argument("--after", type=Path, help="go on from this output")
-    arguments = parser.parse_args()
-    with np.load(arguments.points) as arrays:
-        points = Points(
-            arrays["xyz_m"], arrays["line"], arrays["scanner_m"], float(arrays["height_m"])
-        )
-    for step in arguments.steps:
-        import_module(
-            {"csf": "CSF", "patchwork": "pypatchworkpp", "smrf": "scipy"}.get(
-                step["filter"], "open3d"
-            )
-        )
-    before = None
-    spent_s = 0.0
-    peak_mib = 0.0
-    if arguments.after is not None:
-        with np.load(arguments.after) as arrays:
-            before = arrays["codes"]
-            spent_s = float(arrays["cpu_s"])
-            peak_mib = float(arrays["peak_mib"])
-    codes, cpu_s = run(points, arguments.steps, before)
-    np.savez(
-        arguments.output, codes=codes, cpu_s=spent_s + cpu_s, peak_mib=max(peak_mib, _peak_mib())
-    )
+_OUTLIERS: Step = {"filter": "statistical", "neighbours": 20, "sigmas": 2.0}
+_CSF: Step = {
+    "filter": "csf",
+    "resolution_m": 0.5,
+    "threshold_m": 0.5,
+    "rigidness": 3,
+    "slope_smoothing": False,
+}
+_SMRF: Step = {
+    "filter": "smrf",
+    "cell_m": 1.0,
+    "slope": 0.15,
+    "window_m": 18.0,
+    "threshold_m": 0.5,
+    "scaler": 1.25,
+}
+_PATCHWORK: Step = {
+    "filter": "patchwork",
+    "piece_m": 20.0,
+    "distance_m": 0.125,
+    "upright": 0.707,
+    "reach_m": 80.0,
+}
+
+# chosen on the first 30 m of the streets of seeds 9001, 9004 and 9006
+_BEST_OUTLIERS = {**_OUTLIERS, "sigmas": 0.5}
+_BEST_RADIUS: Step = {"filter": "radius", "least": 4, "radius_m": 0.6}
+_BEST_CSF = {**_CSF, "threshold_m": 0.3}
+_BEST_PATCHWORK = {**_PATCHWORK, "piece_m": 5.0, "distance_m": 0.2}
+
+CHAINS: dict[str, list[Step]] = {
+    "statistical outliers, recommended": [_OUTLIERS],
+    "statistical outliers, tuned": [_BEST_OUTLIERS],
+    "radius outliers, tuned": [_BEST_RADIUS],
+    "CSF, recommended": [_CSF],
+    "statistical, tuned + CSF, recommended": [_BEST_OUTLIERS, _CSF],
+    "statistical, tuned + CSF, tuned": [_BEST_OUTLIERS, _BEST_CSF],
+    "Patchwork++, recommended": [_PATCHWORK],
+    "statistical, tuned + Patchwork++, recommended": [_BEST_OUTLIERS, _PATCHWORK],
+    "statistical, tuned + Patchwork++, tuned": [_BEST_OUTLIERS, _BEST_PATCHWORK],
+    "statistical, tuned + SMRF, recommended": [_BEST_OUTLIERS, _SMRF],
+}
+"""Chains by their name in the table; chains with the same first step share its result."""
 
 
-def _peak_mib() -> float:
-    """Return the peak memory of this process [MiB]."""
-    try:
-        with Path("/proc/self/status").open() as status:
-            return next(int(line.split()[1]) for line in status if line.startswith("VmHWM")) / 1024
-    except OSError:
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (
-            1024**2 if sys.platform == "darwin" else 1024
-        )
-
-
-if __name__ == "__main__":
-    main()
+def chains() -> dict[str, list[Step]]:
+    """Return the chains whose packages are installed."""
+    return {
+        name: steps
+        for name, steps in CHAINS.items()
+        if all(installed(one_step["filter"]) for one_step in steps)
+    }

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import laspy
 import numpy as np
+
+from prc_cli.core.types import F32
+from prc_cli.simulation.settings import load_settings, open_simulation
 
 POINTS_PER_LINE = 2154
 _LINES_AT_ONCE = 200
 _ANGLE_STEP_DEG = {True: 0.006, False: 1.0}
 
 
+def ranges_of(kind: str, n_lines: int, **options: Any) -> F32:
+    """Return the ranges of a simulation, (lines, M) [m]."""
+    settings = load_settings(kind, options={"lines": n_lines, **options})  # type: ignore[arg-type]
+    scan = open_simulation(kind, settings).scan  # type: ignore[arg-type]
+    return np.concatenate([block.range_m for block in scan.blocks()])
+
+
 def write_raw(path: Path, n_lines: int) -> None:
     """Write a street of any length by repeating a simulated one."""
-    from prc_cli.simulation.settings import load_settings, open_simulation
-
-    options = {"lines": 600, "scanner": {"points_per_line": POINTS_PER_LINE}}
-    scan = open_simulation("street", load_settings("street", options=options)).scan
-    tile = np.concatenate([block.range_m for block in scan.blocks()])
+    tile = ranges_of("street", min(n_lines, 600), scanner={"points_per_line": POINTS_PER_LINE})
     with path.open("wb") as handle:
         for first in range(0, n_lines, len(tile)):
             tile[: n_lines - first].tofile(handle)

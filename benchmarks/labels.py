@@ -11,7 +11,6 @@ shots of it."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import shlex
 import subprocess
@@ -27,6 +26,7 @@ import numpy as np
 from benchmarks import contest_data as data
 from benchmarks import contest_files, contest_judge
 from benchmarks.contest_data import Scan, Simulated
+from benchmarks.pages import parser_of
 
 SEEDS = "8801-8806"
 SPENT = "9301-9342, 9401-9442"
@@ -151,9 +151,7 @@ def mean(all_scores: list[dict[str, float]]) -> dict[str, float]:
 
 def main() -> None:
     """Print a row for every scan, and the mean of every group."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--seeds", default=SEEDS, help="of simulated scans, e.g. 8801-8806,8901")
     parser.add_argument("--only", default="", metavar="GROUP", help="the groups that begin so")
     parser.add_argument(

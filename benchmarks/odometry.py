@@ -2,17 +2,17 @@
 
 Simulated drives of spinning scanners, with and without some classes.
 
-    python -m benchmarks.odometry  # writes docs/figures/odometry.md, docs/images/odometry_paths.png
-    python -m benchmarks.odometry --frames 100 --seeds 11 12 13 --scenes snow --page /tmp/page.md
-    python -m benchmarks.odometry --kitti FOLDER  # frames of KITTI and nothing else: does it run?
+    python -m benchmarks.odometry > docs/figures/odometry.md
+    python -m benchmarks.odometry --picture docs/images/odometry_paths.png  # draw paths, too
+    python -m benchmarks.odometry --frames 100 --seeds 11 12 13 --scenes snow
 
 Labels are those of ``prc classify`` with nothing told, frame by frame; ``prc thin`` leaves out the
 same points. No limit of prc or of a library was chosen on these scenes."""
 
 from __future__ import annotations
 
-import argparse
 import os
+import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
@@ -25,9 +25,8 @@ from typing import Any
 import numpy as np
 import small_gicp
 
-from benchmarks.car import table
 from benchmarks.odometry_runs import CLASS_TO_CLASS, LIBRARIES, Run, run
-from benchmarks.pages import heading
+from benchmarks.pages import duration, heading, parser_of, say, table
 from prc_cli import ClassCodes, DoubtWarning, Label, classify
 from prc_cli.config import load_config
 from prc_cli.core.findings import CHECK_NAMES
@@ -35,9 +34,6 @@ from prc_cli.core.types import F64, I64
 from prc_cli.jobs.simulate import Beside, simulate
 from prc_cli.simulation.settings import Kind, load_settings
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
-PAGE = DOCS / "figures" / "odometry.md"
-PICTURE = DOCS / "images" / "odometry_paths.png"
 SEEDS = (71, 72, 73)
 N_FRAMES = 30
 STEP_DEG = 0.4
@@ -256,15 +252,13 @@ def runs_of(job: tuple[str, int, int, bool]) -> Result:
         for (library, arm), frames in PLAN.items()
         if has_slow or library not in SLOW
     }
-    print(name, seed, "done", flush=True)
+    print(name, seed, "done", file=sys.stderr, flush=True)
     return name, seed, runs, drive.poses[:, :3, 3]
 
 
 MEASURES = (
     ("ATE [m]", "ate_m", 3),
     ("RPE [m]", "rpe_m", 4),
-    ("t_rel [%]", "t_rel", 2),
-    ("r_rel [deg/m]", "r_rel", 3),
 )
 
 
@@ -277,8 +271,8 @@ def spread(values: list[float], digits: int) -> str:
     return f"{mid} ({low}–{high})"
 
 
-def scene_table(runs: dict[tuple[str, str], list[Run]]) -> str:
-    """Return the table of a scene."""
+def scene_table(runs: dict[tuple[str, str], list[Run]]) -> None:
+    """Print the table of a scene."""
     rows = []
     for (library, arm), seeds in runs.items():
         cells = [
@@ -289,7 +283,7 @@ def scene_table(runs: dict[tuple[str, str], list[Run]]) -> str:
             f"{np.mean([getattr(run, key) for run in seeds]):,.0f}" for key in ("ms", "points")
         )
         rows.append((f"{library}: {arm}", *cells, failed, *means))
-    return table(
+    table(
         (
             "library: points",
             *(name for name, *_ in MEASURES),
@@ -301,8 +295,10 @@ def scene_table(runs: dict[tuple[str, str], list[Run]]) -> str:
     )
 
 
-def summary_table(every: dict[str, dict[tuple[str, str], list[Run]]], key: str, digits: int) -> str:
-    """Return the medians of a measure in all scenes, a row an arm, and how many of all runs
+def summary_table(
+    every: dict[str, dict[tuple[str, str], list[Run]]], key: str, digits: int
+) -> None:
+    """Print the medians of a measure in all scenes, a row an arm, and how many of all runs
     failed."""
     rows = []
     for library, arm in PLAN:
@@ -315,7 +311,7 @@ def summary_table(every: dict[str, dict[tuple[str, str], list[Run]]], key: str, 
         rows.append(
             (f"{library}: {arm}", *cells, f"{sum(run.is_failed for run in flat)} of {len(flat)}")
         )
-    return table(("library: points", *every, "failed"), rows)
+    table(("library: points", *every, "failed"), rows)
 
 
 def drawn(
@@ -355,8 +351,8 @@ def results(
         return list(pool.map(runs_of, jobs))
 
 
-def page(results: list[Result], n_frames: int, picture: Path) -> str:
-    """Return the page, and draw the paths of the first seed in snow."""
+def page(results: list[Result], n_frames: int, picture: Path | None) -> None:
+    """Print the page, and draw the paths of the first seed in snow."""
     every: dict[str, dict[tuple[str, str], list[Run]]] = {}
     for name, _, runs, _ in results:
         for key, run_of_key in runs.items():
@@ -366,59 +362,39 @@ def page(results: list[Result], n_frames: int, picture: Path) -> str:
         (result for result in results if result[0].startswith("snow")), results[0]
     )
     arms = ("all points", "ground, building, pole")
-    drawn(name, {arm: runs["small_gicp", arm].path_m for arm in arms}, path_m, picture)
-    parts = [
-        heading("Figures of odometry", "odometry"),
-        f"`python -m benchmarks.odometry --frames {n_frames} --seeds {' '.join(map(str, seeds))}`",
-        f"\nFrames of a drive: {n_frames}, 10 turns a second, {360 / STEP_DEG:.0f} lines a turn.",
-        (
-            f"Median of the seeds (lowest–highest); {' and '.join(SLOW)}, which are slow, have "
-            "the first seed alone."
-        ),
-        "A run fails where it stops, or a pose is off by more than 2 m and 5 % of the way.",
-        "Times are of one machine shared with other work: compare them within a table alone.\n",
-        "## ATE of all scenes [m]\n",
-        summary_table(every, "ate_m", 3),
-        "## Time of a frame in all scenes [ms]\n",
-        summary_table(every, "ms", 0),
-    ]
+    if picture is not None:
+        drawn(name, {arm: runs["small_gicp", arm].path_m for arm in arms}, path_m, picture)
+    print(heading("Figures of odometry", "odometry"))
+    say(f"""Seeds {", ".join(map(str, seeds))}. Frames of a drive: {n_frames}, 10 turns a second,
+    {360 / STEP_DEG:.0f} lines a turn. Median of the seeds (lowest–highest); {" and ".join(SLOW)},
+    which are slow, have the first seed alone. A run fails where it stops, or a pose is off by more
+    than 2 m and 5 % of the way. Times are of one machine shared with other work: compare them
+    within a table alone.""")
+    print("## ATE of all scenes [m]\n")
+    summary_table(every, "ate_m", 3)
+    print("## Time of a frame in all scenes [ms]\n")
+    summary_table(every, "ms", 0)
     for name, runs_of_scene in every.items():
-        parts += [f"## {name[0].upper()}{name[1:]}\n", scene_table(runs_of_scene)]
-    return "\n".join(parts)
+        print(f"## {name[0].upper()}{name[1:]}\n")
+        scene_table(runs_of_scene)
+    print(duration())
 
 
 def main() -> None:
     """Write the page."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--frames", type=int, default=N_FRAMES, help="of a drive")
     parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
     parser.add_argument("--scenes", nargs="+", default=[""], help="names begin so; all by default")
     parser.add_argument("--jobs", type=int, default=2, help="drives at a time")
-    parser.add_argument("--page", type=Path, default=PAGE)
-    parser.add_argument(
-        "--kitti", type=Path, help="run all arms over a folder of frames, without truth"
-    )
+    parser.add_argument("--picture", type=Path, help="draw the paths in this file")
     options = parser.parse_args()
-    if options.kitti:
-        smoke(options.kitti)
-        return
     names = [name for name in SCENES if name.startswith(tuple(options.scenes))]
-    picture = PICTURE if options.page == PAGE else options.page.with_suffix(".png")
-    all_results = results(names, list(options.seeds), options.frames, options.jobs)
-    options.page.write_text(page(all_results, options.frames, picture), encoding="utf-8")
-
-
-def smoke(folder: Path) -> None:
-    """Print how far every library says that frames without truth went."""
-    points = read_frames(folder)
-    drives = labelled(folder)
-    drive = Drive(points, drives, drives, np.tile(np.eye(4), (len(points), 1, 1)))
-    for arm in ("all points", "− noise", "ground, building, pole"):
-        for library in LIBRARIES:
-            end = run(library, ARMS[arm](drive), drive.poses).path_m[-1]
-            print(f"{library}: {arm}: {np.linalg.norm(end):.2f} m from the first frame to the last")
+    page(
+        results(names, list(options.seeds), options.frames, options.jobs),
+        options.frames,
+        options.picture,
+    )
 
 
 if __name__ == "__main__":

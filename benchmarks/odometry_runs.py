@@ -192,10 +192,6 @@ class Run:
     """Root mean square of the positions' errors after alignment (evo) [m]."""
     rpe_m: float
     """Root mean square of the errors from frame to frame (evo) [m]."""
-    t_rel: float
-    """KITTI's error of translation over parts of the way, with its lengths scaled [%]."""
-    r_rel: float
-    """KITTI's error of rotation [deg/m]."""
     is_failed: bool
     ms: float
     """Time of a frame [ms]."""
@@ -234,10 +230,8 @@ def run(name: str, frames: Iterable[tuple[F64, I64]], truth: F64) -> Run:
     way_m = np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1).sum()
     is_failed = n < len(truth) or bool(away.max() > max(FAILED_M, FAILED_SHARE * way_m))
     if n < 10:
-        return Run(*[float("nan")] * 4, True, ms, mean, path[:, :3, 3])
-    return Run(
-        *_evo(truth[:n], path), *_kitti(truth[:n], path), is_failed, ms, mean, path[:, :3, 3]
-    )
+        return Run(*[float("nan")] * 2, True, ms, mean, path[:, :3, 3])
+    return Run(*_evo(truth[:n], path), is_failed, ms, mean, path[:, :3, 3])
 
 
 def _evo(truth: F64, estimate: F64) -> tuple[float, float]:
@@ -257,27 +251,3 @@ def _rigid(pose: F64) -> F64:
     rigid[:3, :3] = Rotation.from_matrix(pose[:3, :3]).as_matrix()
     rigid[:3, 3] = pose[:3, 3]
     return rigid
-
-
-def _kitti(truth: F64, estimate: F64) -> tuple[float, float]:
-    """Return the mean errors of parts of the way that begin at every frame.
-
-    Translation [%], rotation [deg/m].
-    """
-    way_m = np.concatenate(
-        [[0.0], np.cumsum(np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1))]
-    )
-    shift = []
-    turn = []
-    for length_m in PARTS_M:
-        for first in range(len(truth)):
-            last = int(np.searchsorted(way_m, way_m[first] + length_m))
-            if last == len(truth):
-                break
-            moves = [np.linalg.inv(poses[first]) @ poses[last] for poses in (truth, estimate)]
-            error = np.linalg.inv(moves[1]) @ moves[0]
-            shift.append(100 * np.linalg.norm(error[:3, 3]) / length_m)
-            turn.append(
-                np.degrees(np.arccos(np.clip((np.trace(error[:3, :3]) - 1) / 2, -1, 1))) / length_m
-            )
-    return (float(np.mean(shift)), float(np.mean(turn))) if shift else (float("nan"), float("nan"))

@@ -1,4 +1,4 @@
-"""Pages of figures: heading, paragraphs, commands.
+"""Pages of figures: heading, paragraphs, tables, commands.
 
 The heading says what was measured where: version, commit, day and machine. The last line says how
 long it took; ``python -m benchmarks`` lists both.
@@ -6,20 +6,27 @@ long it took; ``python -m benchmarks`` lists both.
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import os
 import platform
+import re
 import subprocess
+import tempfile
 import textwrap
 import time
+from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from prc_cli.core.version import __version__
 
 ROOT = Path(__file__).resolve().parent.parent
+DATA = Path(os.environ.get("PRC_DATA", ROOT.parent / "shared" / "data"))
+"""Real scans, which are not part of the project."""
 FIGURES = ROOT / "docs" / "figures"
 WRITTEN_BY = "<!-- written by python -m benchmarks."
 TOOK = "<!-- took "
@@ -33,6 +40,28 @@ def heading(title: str, module: str) -> str:
     """Return the first lines of a page: title, version, commit, day, machine."""
     measured = f"prc {__version__}, {_commit()}, {datetime.now(tz=UTC).date()}, {machine()}."
     return f"{WRITTEN_BY}{module}; do not edit -->\n\n# {title}\n\n{measured}\n"
+
+
+_HEAD = re.compile(r"^prc (\S+), commit (\S+), (\d{4}-\d\d-\d\d), (.+?)\.", re.MULTILINE)
+
+
+class Measured(NamedTuple):
+    """What the head of a page says."""
+
+    version: str
+    commit: str
+    day: str
+    machine: str
+
+
+def measured(page: str) -> Measured | None:
+    """Return what the head of a page says; None without a head.
+
+    >>> measured("# Speed\\n\\nprc 1.1.0, commit d3ea59da, 2026-11-26, 2 cores.\\n").version
+    '1.1.0'
+    """
+    head = _HEAD.search(page.partition("\n## ")[0])
+    return None if head is None else Measured(*head.groups())
 
 
 def duration() -> str:
@@ -58,10 +87,43 @@ def machine() -> str:
     return f"{os.cpu_count()} cores of {name}"
 
 
+def parser_of(description: str | None) -> argparse.ArgumentParser:
+    """Return a parser whose help is the documentation of a module, as it is written."""
+    return argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+
+
+def run_parts(
+    description: str | None,
+    title: str,
+    module: str,
+    parts: Mapping[str, Callable[[Path], None]],
+) -> None:
+    """Print a page of the parts that the command line names, all by default."""
+    parser = parser_of(description)
+    parser.add_argument("parts", nargs="*", choices=[[], *parts], metavar="PART")
+    chosen = parser.parse_args().parts or parts
+    print(heading(title, module))
+    for name in chosen:
+        with tempfile.TemporaryDirectory() as folder:
+            parts[name](Path(folder))
+    print(duration())
+
+
 def say(text: str) -> None:
     """Print a paragraph, rewrapped."""
     words = " ".join(text.split())
     print(textwrap.fill(words, 118, break_long_words=False, break_on_hyphens=False) + "\n")
+
+
+def table(header: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
+    """Print a table; numbers stand to the right of all columns but the first."""
+    names = list(header)
+    print(f"| {' | '.join(names)} |\n|---|{'---:|' * (len(names) - 1)}")
+    for row in rows:
+        print(f"| {' | '.join(map(str, row))} |", flush=True)
+    print()
 
 
 def commands(*lines: str) -> None:

@@ -22,8 +22,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.contest_data import DATA, view_paths
-from benchmarks.pages import duration, heading
+from benchmarks.contest_data import view_paths
+from benchmarks.pages import DATA, duration, heading
 from prc_cli import ClassCodes, DoubtWarning, Label, classify
 from prc_cli.core.types import F32, I64, U8, Mask
 

@@ -1,50 +1,38 @@
 """Figures of the sequential-angle classifier.
 
-Simulated static scans beside the paper's Table 1, real scans, speed.
+Simulated static scans beside the paper's Table 1, and the strips of Oakland.
 
-    # all but speed and memory, minutes
-    python -m benchmarks.sequential_angle > docs/figures/sequential_angle.md
-    python -m benchmarks.sequential_angle speed memory  # tables of docs/figures/speed.md
+    python -m benchmarks.sequential_angle > docs/figures/sequential_angle.md    # minutes
+    python -m benchmarks.sequential_angle oakland                               # some of the parts
 
 Reads ../shared/data or $PRC_DATA for the real scans. Each table names the commands that give the
 same figures."""
 
 from __future__ import annotations
 
-import argparse
 import os
-import tempfile
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
-from functools import partial
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.contest_data import Scan, views
-from benchmarks.contest_methods import label
-from benchmarks.pages import duration, heading
-from benchmarks.user import peak_mib
+from benchmarks.pages import run_parts
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.blocks import join
-from prc_cli.core.classes import ClassCodes, Label, Surface
+from prc_cli.core.classes import Label, Surface
 from prc_cli.core.config import merge
-from prc_cli.core.errors import PrcError
-from prc_cli.core.stream import ScanBlock, cut
-from prc_cli.core.types import F64, U8
+from prc_cli.core.stream import ScanBlock
+from prc_cli.core.types import U8
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.reports import as_markdown
 from prc_cli.evaluation.scores import scores
-from prc_cli.jobs.classify import classify, label_blocks
+from prc_cli.jobs.classify import classify
 from prc_cli.jobs.evaluate import evaluate
 from prc_cli.jobs.simulate import Beside, simulate
-from prc_cli.methods.sequential_angle.angles import angle_differences, line_angles, signed_angles
-from prc_cli.methods.sequential_angle.car import cars
+from prc_cli.methods.sequential_angle.angles import angle_differences, signed_angles
 from prc_cli.methods.sequential_angle.coarse import car_surface, coarse, dense_vegetation
-from prc_cli.methods.sequential_angle.curb import CurbState, curbs, possible_curbs
-from prc_cli.methods.sequential_angle.ground import ground, initial_ground, potential_ground
 from prc_cli.methods.sequential_angle.lines import split_sides, vertical_lines
 from prc_cli.methods.sequential_angle.thresholds import (
     ChordThresholds,
@@ -135,19 +123,6 @@ NOISE_M = ChordThresholds().range_noise_m
 """Default ranging noise for the classifier [m]."""
 THRESHOLDS = SequentialAngleThresholds().at_noise()
 
-ORGANISED: dict[str, dict[str, Any]] = {
-    ".e57": {},
-    ".ptx": {},
-    ".3d": {"points_per_line": 360, "range": "sensor-xyz", "max_range": 32.7},
-    ".csv": {
-        "lines": "elevation:20",
-        "range": "sensor-xyz",
-        "columns": "angle",
-        "angle_start": -36.0,
-        "angle_step": 0.5,
-    },
-}
-"""Options for organised files, by suffix; docs/formats.md explains them."""
 
 HEADERLESS = "car_cloud401.csv"
 """File without header, with blanks between numbers."""
@@ -357,7 +332,8 @@ def vegetation(folder: Path) -> None:
     print("|---|" + "---:|" * 7)
     for title, (seed, options) in VEGETATION.items():
         block, label = scan_of(seed, {"scanner": {"azimuth_step_deg": 0.92}}, options)
-        beam = beams(block)
+        beam = block.beam_rad
+        assert beam is not None
         lines = vertical_lines(block.range_m, block.xyz_m, beam, split_sides(beam), 300.0)
         angles = ChordThresholds(
             range_noise_m=0.01 if options.get("scanner", {}).get("noise_m") else NOISE_M
@@ -463,88 +439,6 @@ def windows(folder: Path) -> None:
     print(f"| *the paper* | {' | '.join(f'{r:.3f} | {p:.3f}' for r, p in PAPER.values())} |\n")
 
 
-KITTI_GROUND: dict[str, tuple[int, ...]] = {
-    "road and sidewalk": (40, 48),
-    "road": (40,),
-    "sidewalk": (48,),
-    "terrain": (72,),
-}
-"""SemanticKITTI's codes of what is ground."""
-
-
-def kitti(folder: Path) -> None:
-    """The labelled frame of a scanner with 64 rings."""
-    source = DATA / "kitti" / "000000.bin"
-    labels = folder / "kitti.npy"
-    # the scanner's data sheet says 2 cm
-    classify(source, labels, street_scan(KITTI, range_noise_m=0.02), overwrite=True)
-    print("## KITTI frame\n\n```console")
-    print(
-        f"$ prc classify {source.name} kitti.npy --preset street-scan --config "
-        f"sample_configs/{KITTI.name} \\"
-    )
-    print("      --set sequential_angle.angles.range_noise_m=0.02")
-    print(
-        "$ prc evaluate kitti.npy 000000.label --mapping street_scan_kitti --format markdown\n```\n"
-    )
-    print(as_markdown(evaluate(labels, source.with_suffix(".label"), "street_scan_kitti")))
-    print("Share that is ground, with and without heights that follow their side:\n")
-    print(
-        f"| | {' | '.join(KITTI_GROUND)} | all that is ground |\n|---|"
-        + "---:|" * (len(KITTI_GROUND) + 1)
-    )
-    truth = np.fromfile(source.with_suffix(".label"), np.uint32) & 0xFFFF
-    code = ClassCodes().code(Label.GROUND)
-    for follow_m in (THRESHOLDS.ground.follow_m, 0):
-        options = {
-            "sequential_angle": {
-                "angles": {"range_noise_m": 0.02},
-                "ground": {"follow_m": follow_m},
-            }
-        }
-        classify(
-            source,
-            labels,
-            load_config(KITTI, preset="street-scan", options=options),
-            overwrite=True,
-        )
-        is_class = np.load(labels).ravel() == code
-        cells = [np.mean(is_class[np.isin(truth, classes)]) for classes in KITTI_GROUND.values()]
-        right = np.mean(np.isin(truth[is_class], sum(KITTI_GROUND.values(), ())))
-        print(
-            f"| ground.follow_m = {follow_m:g} | "
-            f"{' | '.join(f'{cell:.3f}' for cell in (*cells, right))} |"
-        )
-    print()
-    print(
-        "The same on labelled range views of SemanticKITTI, which decided nothing; mean "
-        "over the views:\n"
-    )
-    print("| | views | ground found | found that is ground |\n|---|---:|---:|---:|")
-    for follow_m in (THRESHOLDS.ground.follow_m, 0):
-        scores_of_class = np.array(
-            [_ground_of(view, follow_m) for kind in (0, 1) for view in views("kitti", kind)]
-        )
-        print(
-            f"| ground.follow_m = {follow_m:g} | {len(scores_of_class)} | "
-            f"{scores_of_class[:, 0].mean():.3f} | {scores_of_class[:, 1].mean():.3f} |"
-        )
-    print()
-
-
-def _ground_of(scan: Scan, follow_m: float) -> tuple[float, float]:
-    """Return recall and precision of ground in a view."""
-    options = {
-        "sequential_angle": {"angles": {"range_noise_m": 0.02}, "ground": {"follow_m": follow_m}}
-    }
-    labels = label(scan, load_config(KITTI, preset="street-scan", options=options)).codes
-    code = ClassCodes().code(Label.GROUND)
-    truth = np.isin(scan.codes, CLASSES["kitti"][Label.GROUND])
-    seen = np.isfinite(scan.range_m) & (scan.codes != 0)
-    is_class = (labels == code) & seen
-    return float(np.mean(is_class[truth & seen])), float(np.mean(truth[is_class]))
-
-
 def oakland(folder: Path) -> None:
     """The strips of a push-broom scanner, beside PRC."""
     runs = {
@@ -576,213 +470,14 @@ def oakland(folder: Path) -> None:
         print("\n" + as_markdown(rows["sequential-angle, 1 cm noise"]))
 
 
-def headerless_layout(folder: Path) -> Path:
-    """Write the layout of :data:`HEADERLESS`."""
-    layout = folder / "layout.toml"
-    fields = ", ".join(f'{{ name = "{name}", source = {i} }}' for i, name in enumerate("xyz"))
-    layout.write_text(
-        f'[layout]\ndelimiter = " "\nheader = false\nfields = [{fields}]\n', encoding="utf-8"
-    )
-    return layout
-
-
-def organised(folder: Path) -> None:
-    """Every organised file: lines, shots, class shares."""
-    names = ("ground", "horizontal", "curb", "vertical", "vegetation", "car", "unclassified")
-    print(
-        "## Organised scans\n\nThe options are those of [the page on "
-        "formats](../formats.md).\n\n```console"
-    )
-    print("$ prc classify pumpA.e57 labels.npy --preset street-scan\n```\n")
-    print("| file | lines | shots | missing | " + " | ".join(names) + " |")
-    print("|---|---:|---:|---:|" + "---:|" * len(names))
-    codes = {name: code for code, name in ClassCodes().names().items()}
-    layout = headerless_layout(folder)
-    for source in sorted((DATA / "organised").iterdir()):
-        if source.suffix not in ORGANISED:
-            continue
-        try:
-            config = street_scan(
-                layout if source.name == HEADERLESS else None, **ORGANISED[source.suffix]
-            )
-            summary = classify(source, folder / "organised.npy", config, overwrite=True)
-        except PrcError as error:
-            reason = str(error).replace(f"{source}: ", "")
-            print(f"| {source.name} | refused: {reason} |" + " |" * (len(names) + 2))
-            continue
-        counts = np.bincount(np.load(folder / "organised.npy").ravel(), minlength=256)
-        returned = max(int(counts[1:].sum()), 1)
-        cells = " | ".join(f"{counts[codes[name]] / returned:.1%}" for name in names)
-        n = summary.counts
-        missing = n.labels[0] / max(n.n_shots, 1)
-        print(f"| {source.name} | {n.n_lines:,} | {n.n_shots:,} | {missing:.1%} | {cells} |")
-    print()
-
-
-def rate(job: Callable[[], object], runs: int = 3) -> float:
-    """Shortest time of a job [s] after a warm-up, because other load can only add time."""
-    job()
-    seconds = []
-    for _ in range(runs):
-        start = time.perf_counter()
-        job()
-        seconds.append(time.perf_counter() - start)
-    return min(seconds)
-
-
-def speed(folder: Path) -> None:
-    """Rates of every stage on one core, of all in memory with one and two threads, and of the whole
-    command."""
-    whole, _ = scan_of(3)
-    n_lines = whole.n_lines
-    n_shots = whole.range_m.size
-    config = street_scan()
-    times = dict(stage_times(whole))
-
-    def all_stages(threads: int) -> None:
-        # repeat the scan: with few blocks, one thread would idle at the last one
-        turns = (replace(block, is_last=False) for _ in range(TURNS) for block in blocks(whole))
-        for _ in label_blocks(turns, config.config.classifier, threads=threads):
-            pass
-
-    for threads in (1, 2):
-        name = f"all stages, in memory, {threads} thread{'s' * (threads > 1)}"
-        times[name] = rate(partial(all_stages, threads), 5) / TURNS
-    source, _ = write_scan(folder, 3)
-    times["from .npz to .npy"] = rate(
-        lambda: classify(source, folder / "speed.npy", config, overwrite=True)
-    )
-    times["from .npz to .laz"] = rate(
-        lambda: classify(source, folder / "speed.laz", config, overwrite=True)
-    )
-    print(
-        f"## Speed\n\n{n_lines:,} lines of {whole.points_per_line:,} shots; stages on one core.\n"
-    )
-    print("| work | lines a second | million shots a second |\n|---|---:|---:|")
-    for name, seconds in times.items():
-        print(f"| {name} | {n_lines / seconds:,.0f} | {n_shots / seconds / 1e6:.2f} |")
-    print()
-
-
-def memory(folder: Path) -> None:
-    """Peak memory of the command at two sizes, each in a separate process."""
-    print("## Memory\n\n| input | lines | shots | peak resident size |\n|---|---:|---:|---:|")
-    xyz = scan_of(3, {"scanner": {"azimuth_step_deg": 0.23}})[0].xyz_m
-    assert xyz is not None
-    config = folder / "raw.toml"
-    fields = ", ".join(f'{{ name = "{name}", type = "f4" }}' for name in "xyz")
-    config.write_text(
-        'preset = "street-scan"\n[input]\nlines = "fixed"\ncolumns = "order"\nrange = '
-        '"sensor-xyz"\n'
-        f"points_per_line = {xyz.shape[1]}\n[layout]\nfields = [{fields}]\n",
-        encoding="utf-8",
-    )
-    for times in (1, 10):
-        raw = folder / "scan.bin"
-        with raw.open("wb") as handle:
-            for _ in range(times):
-                xyz.tofile(handle)
-        arguments = [
-            "classify",
-            str(raw),
-            str(folder / "big.npy"),
-            "--config",
-            str(config),
-            "--quiet",
-            "--overwrite",
-        ]
-        peak = peak_mib(arguments)
-        shots = times * xyz.shape[0] * xyz.shape[1]
-        print(f"| raw x, y, z | {times * len(xyz):,} | {shots:,} | {peak:.0f} MiB |")
-    print()
-
-
-def beams(block: ScanBlock) -> F64:
-    """Angles of the beams of a static scan."""
-    assert block.beam_rad is not None
-    return block.beam_rad
-
-
-def blocks(block: ScanBlock, lines: int = 64) -> Iterator[ScanBlock]:
-    """Yield some lines at a time."""
-    for first in range(0, block.n_lines, lines):
-        yield cut(block, first, min(first + lines, block.n_lines))
-
-
-def stage_times(block: ScanBlock) -> dict[str, float]:
-    """Time of every stage [s] on the results of the stages before, for the whole scan at once."""
-    ranges = block.range_m
-    xyz = block.xyz_m
-    beam = beams(block)
-    sides = split_sides(beam)
-    times: dict[str, float] = {}
-
-    def timed(name: str, job: Callable[[], Any]) -> Any:
-        times[name] = rate(job)
-        return job()
-
-    lines = timed("lines from low to high", lambda: vertical_lines(ranges, xyz, beam, sides, 300.0))
-    angles = timed("signed angles", lambda: signed_angles(lines, THRESHOLDS.angles))
-    signed = angles.signed_deg
-    surface = timed("T, H and V", lambda: coarse(signed, lines, THRESHOLDS.coarse))
-    phihat = timed("line angles", lambda: line_angles(lines, angles.ahead, surface))
-
-    def car_layer() -> Any:
-        dense = dense_vegetation(angle_differences(signed), THRESHOLDS.dense_vegetation)
-        return car_surface(signed, dense, lines, THRESHOLDS.coarse.surfaces)
-
-    cars_on = timed("T', and its H and V", car_layer)
-
-    results = (lines, surface, phihat, angles.ahead)
-    potential = timed("potential ground", lambda: potential_ground(*results, THRESHOLDS.ground))
-    state = initial_ground(potential.height_m, THRESHOLDS.ground)
-    mask, z_g, _ = timed("ground", lambda: ground(*results, potential, state, THRESHOLDS.ground))
-
-    def curbs_all() -> Any:
-        possible = possible_curbs(lines, surface, mask, z_g, THRESHOLDS.curb)
-        start = CurbState.start(1, surface.shape[1], THRESHOLDS.curb)
-        return curbs(lines, surface, signed, possible, start, THRESHOLDS.curb, last=True)
-
-    timed("curbs", curbs_all)
-    timed("cars", lambda: cars(lines, surface, cars_on, signed, z_g, THRESHOLDS.car))
-    return times
-
-
-SPEED = ("speed", "memory")
-"""Parts whose tables are on the page of all speeds, and nowhere else."""
 PARTS: dict[str, Callable[[Path], None]] = {
     "simulated": simulated,
     "readings": readings,
     "vegetation": vegetation,
     "windows": windows,
-    "kitti": kitti,
     "oakland": oakland,
-    "organised": organised,
-    "speed": speed,
-    "memory": memory,
 }
 
 
-def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "parts",
-        nargs="*",
-        metavar="PART",
-        help=f"{', '.join(PARTS)}; default: all but {', '.join(SPEED)}",
-    )
-    arguments = parser.parse_args()
-    print(heading("Sequential-angle: figures", "sequential_angle"))
-    with tempfile.TemporaryDirectory() as name:
-        for part in arguments.parts or [part for part in PARTS if part not in SPEED]:
-            if part not in PARTS:
-                parser.error(f"found {part!r}, expected {', '.join(PARTS)}")
-            PARTS[part](Path(name))
-    print(duration())
-
-
 if __name__ == "__main__":
-    main()
+    run_parts(__doc__, "Sequential-angle: figures", "sequential_angle", PARTS)

@@ -4,24 +4,21 @@
     python -m benchmarks.simulated urban speed                      # some of the parts
 
 Reads ../shared/data or $PRC_DATA for the real scans. Each table names the commands that give the
-same figures; no parameter of a classifier was chosen on them."""
+same figures; no parameter of a classifier was chosen on these seeds, but ``fused`` was tuned on
+other seeds of this simulator, and the forest's defaults with Table II in view."""
 
 from __future__ import annotations
 
-import argparse
-import os
-import tempfile
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.pages import commands, duration, heading, printed_at, say
+from benchmarks.pages import DATA, ROOT, commands, printed_at, run_parts, say, table
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.types import F32, F64, I64, U8
@@ -31,17 +28,11 @@ from prc_cli.evaluation.scores import scores
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.evaluate import evaluate
 from prc_cli.jobs.simulate import simulate
-from prc_cli.simulation.drive import SimulatedScan
-from prc_cli.simulation.forest.params import PRESETS as FORESTS
 from prc_cli.simulation.forest.reference import reference_labels
 from prc_cli.simulation.forest.scene import ForestScene
 from prc_cli.simulation.scanners import SCANNERS
-from prc_cli.simulation.settings import Kind, Settings, load_settings, open_simulation
-from prc_cli.simulation.trajectory import Station
-from prc_cli.simulation.world import Bodies
+from prc_cli.simulation.settings import Kind, load_settings, open_simulation
 
-ROOT = Path(__file__).resolve().parent.parent
-DATA = Path(os.environ.get("PRC_DATA", ROOT.parent / "shared" / "data"))
 SICK = ROOT / "sample_configs" / "sick_push_broom.toml"
 
 FIRST_SEED = 301
@@ -66,8 +57,6 @@ TABLE_I = {
     ),
 }
 """Lehtola et al. (2019), Table I: zeta_p to recall values, reference in rows."""
-AREAS = (10, 30, 100)
-GAMMAS = (0, 2, 20)
 STREETS = 5
 STREET_M = 150.0
 CHARACTERS = ("residential", "terraces", "suburb", "boulevard")
@@ -97,7 +86,6 @@ The overall accuracy follows from its counts.
 """
 STAMOS_ALL = 0.876
 STATIONS = 11
-FINE_STATIONS = 2
 COARSE_DEG = 0.46
 """Every fourth line: as many different streets in a quarter of the time."""
 
@@ -172,24 +160,19 @@ def shares_of(matrix: ConfusionMatrix, rows: tuple[str, ...], columns: tuple[str
     return matrix.row_shares()[np.ix_(row, column)]
 
 
-def urban_config(zeta_p: float, area: int = 30, gamma: int = 2) -> LoadedConfig:
-    options = {
-        "prc": {"support": {"zeta_p": zeta_p}, "surfaces": {"area": float(area), "gamma": gamma}}
-    }
-    return load_config(preset="prc-2019-urban", options=options)
+def urban_config(zeta_p: float) -> LoadedConfig:
+    return load_config(preset="prc-2019-urban", options={"prc": {"support": {"zeta_p": zeta_p}}})
 
 
 def urban(folder: Path) -> None:
     """Drives down streets beside Table I."""
-    keys = [(zeta, area, gamma) for zeta in TABLE_I for area in AREAS for gamma in GAMMAS]
-    runs = {key: urban_config(*key) for key in keys}
-    matrices: dict[tuple[float, int, int], list[ConfusionMatrix]] = {key: [] for key in runs}
+    matrices: dict[float, list[ConfusionMatrix]] = {zeta: [] for zeta in TABLE_I}
     for seed in range(FIRST_SEED, FIRST_SEED + STREETS):
         source = made("street", folder, seed=seed, length_m=STREET_M)
-        for key, config in runs.items():
-            matrices[key].append(compared(source, config, "lehtola_urban"))
+        for zeta, parts in matrices.items():
+            parts.append(compared(source, urban_config(zeta), "lehtola_urban"))
     print("## Streets: Table I\n")
-    n = pooled(matrices[1.0, 30, 2]).n_scored
+    n = pooled(matrices[1.0]).n_scored
     say(f"""{STREETS} mixed streets of {STREET_M:g} m, Photon 80 with the paper's mount, 30 km/h:
     {n:,} returns. Shares of all streets together, the smallest and the largest of a single street
     in brackets; the paper's figure in italics.""")
@@ -199,8 +182,7 @@ def urban(folder: Path) -> None:
         "prc evaluate labels.npy street.npz --mapping lehtola_urban",
     )
     for zeta, published in TABLE_I.items():
-        print_table_i(f"ζ_p = {zeta:g} m, A = 30, γ = 2", matrices[zeta, 30, 2], published)
-    print_areas(matrices)
+        print_table_i(f"ζ_p = {zeta:g} m, A = 30, γ = 2", matrices[zeta], published)
     kinds(folder)
     set_back(folder)
 
@@ -208,51 +190,21 @@ def urban(folder: Path) -> None:
 def print_table_i(
     title: str, parts: list[ConfusionMatrix], published: tuple[tuple[float, ...], ...]
 ) -> None:
-    print(
-        f"### {title}\n\n| reference | "
-        + " | ".join(URBAN_COLUMNS)
-        + " |\n|---|"
-        + "---:|" * len(URBAN_COLUMNS)
+    print(f"### {title}\n")
+    rows = zip(URBAN_ROWS, recall_table(parts, URBAN_ROWS, URBAN_COLUMNS), published, strict=True)
+    table(
+        ("reference", *URBAN_COLUMNS),
+        (
+            (name, *(f"{a} *{b:.3f}*" for a, b in zip(cells, paper, strict=True)))
+            for name, cells, paper in rows
+        ),
     )
-    for name, cells, paper in zip(
-        URBAN_ROWS, recall_table(parts, URBAN_ROWS, URBAN_COLUMNS), published, strict=True
-    ):
-        print(
-            f"| {name} | "
-            + " | ".join(f"{a} *{b:.3f}*" for a, b in zip(cells, paper, strict=True))
-            + " |"
-        )
     matrix = pooled(parts)
     by_name = {item.name: item for item in scores(matrix).classes}
     cells = [f"{name} {by_name[name].precision:.3f}" for name in URBAN_COLUMNS]
     rows = matrix.counts.sum(axis=1) / matrix.n_scored
     shares = [f"{name} {rows[matrix.reference_names.index(name)]:.1%}" for name in URBAN_ROWS]
     print(f"\nPrecision: {', '.join(cells)}. Shares of the reference: {', '.join(shares)}.\n")
-
-
-def print_areas(matrices: dict[tuple[float, int, int], list[ConfusionMatrix]]) -> None:
-    print("### Area and dilation\n")
-    say("""Recall of vegetation and building, and the share of all returns that is called so. The
-    paper says: with γ = 0 fewer true and false positives of vegetation and more of building, with γ
-    = 20 next to no building left; A = 10 and A = 100 within ten percentile points of A = 30.""")
-    commands(
-        "prc classify street.npz labels.npy --preset prc-2019-urban --set prc.surfaces.area=10 "
-        "--set prc.surfaces.gamma=0"
-    )
-    print(
-        "| ζ_p | A | γ | vegetation recall | share | building recall | share "
-        "|\n|---:|---:|---:|---:|---:|---:|---:|"
-    )
-    for (zeta, area, gamma), parts in matrices.items():
-        matrix = pooled(parts)
-        shares = shares_of(matrix, URBAN_ROWS, URBAN_COLUMNS)
-        called = matrix.counts.sum(axis=0) / matrix.n_scored
-        v, b = (called[matrix.predicted_names.index(name)] for name in ("vegetation", "building"))
-        print(
-            f"| {zeta:g} | {area} | {gamma} | {shares[2, 2]:.3f} | {v:.1%} | "
-            f"{shares[3, 3]:.3f} | {b:.1%} |"
-        )
-    print()
 
 
 def kinds(folder: Path) -> None:
@@ -279,12 +231,7 @@ def set_back(folder: Path) -> None:
 
 
 def print_diagonals(folder: Path, scenes: dict[str, dict[str, Any]]) -> None:
-    print(
-        "| street | ζ_p | "
-        + " | ".join(URBAN_COLUMNS)
-        + " | building as ground |\n|---|---:|"
-        + "---:|" * 5
-    )
+    rows = []
     for name, scene in scenes.items():
         matrices: dict[float, list[ConfusionMatrix]] = {zeta: [] for zeta in TABLE_I}
         for seed in range(FIRST_SEED, FIRST_SEED + MORE_STREETS):
@@ -294,11 +241,11 @@ def print_diagonals(folder: Path, scenes: dict[str, dict[str, Any]]) -> None:
         for zeta, parts in matrices.items():
             cells = recall_table(parts, URBAN_ROWS, URBAN_COLUMNS)
             diagonal = [cells[i][i] for i in range(len(URBAN_COLUMNS))]
-            print(f"| {name} | {zeta:g} | {' | '.join(diagonal)} | {cells[3][1]} |")
+            rows.append((name, f"{zeta:g}", *diagonal, cells[3][1]))
     for zeta, published in TABLE_I.items():
         diagonal = [f"*{published[i][i]:.3f}*" for i in range(4)]
-        print(f"| *the paper* | {zeta:g} | {' | '.join(diagonal)} | *{published[3][1]:.3f}* |")
-    print()
+        rows.append(("*the paper*", f"{zeta:g}", *diagonal, f"*{published[3][1]:.3f}*"))
+    table(("street", "ζ_p", *URBAN_COLUMNS, "building as ground"), rows)
 
 
 @dataclass(frozen=True, slots=True)
@@ -365,8 +312,8 @@ def forest(folder: Path) -> None:
     commands(
         f"prc simulate forest walk.npz --length {WALK_M:g} --seed {FIRST_SEED} --reference "
         "cylinders",
-        "prc classify walk.npz labels.npy --preset prc-2019-forest --set prc.support.zeta_s=1 "
-        "--set prc.support.zeta_p=0.1",
+        "prc classify walk.npz labels.npy --preset prc-2019-forest --set prc.support.zeta_s=1 --set "
+        "prc.support.zeta_p=0.1",
         "prc evaluate labels.npy walk.npz --mapping lehtola_forest",
     )
     for zetas in ZETAS:
@@ -380,96 +327,33 @@ def forest(folder: Path) -> None:
     print_stems(matrices)
 
 
-UNSUPPORTED = (0.746, 0.341)
-"""Shares of the returns without support in the paper's forest (IV-C), by :data:`ZETAS`."""
-
-
-def unsupported(folder: Path) -> None:
-    """Shares of the returns that no neighbours support, beside those of sec. IV-C."""
-    print("## Forest: returns without support (IV-C)\n")
-    say("""The paper gives the share of all points that get no support. Here it is the noise of PRC
-    without its ground columns, which would take some of it back.""")
-    commands(
-        f"prc simulate forest walk.npz --length {WALK_M:g} --seed {FIRST_SEED}",
-        "prc classify walk.npz labels.npy --preset prc-2019-forest --set "
-        "prc.forest.noise_in_ground_columns=false",
-    )
-    print("| forest | ζ_s, ζ_p | without support |\n|---|---|---:|")
-    for scene in PLOTS:
-        run = walk(folder, scene, FIRST_SEED)
-        for zeta_s, zeta_p in ZETAS:
-            support = {"zeta_s": zeta_s, "zeta_p": zeta_p}
-            options = {"prc": {"support": support, "forest": {"noise_in_ground_columns": False}}}
-            config = load_config(preset="prc-2019-forest", options=options)
-            classes = classify(
-                run.source, folder / "labels.npy", config, overwrite=True
-            ).record.classes
-            counts = {
-                class_count.name: class_count.count
-                for class_count in classes
-                if class_count.name != "missing"
-            }
-            print(
-                f"| {scene} | {zeta_s:g}, {zeta_p:g} | "
-                f"{counts['noise'] / sum(counts.values()):.3f} |"
-            )
-    for (zeta_s, zeta_p), share in zip(ZETAS, UNSUPPORTED, strict=True):
-        print(f"| *the paper* | {zeta_s:g}, {zeta_p:g} | *{share:.3f}* |")
-    print()
-
-
 def print_table_ii(
     title: str, parts: list[ConfusionMatrix], published: tuple[tuple[float, ...], ...] | None
 ) -> None:
-    print(
-        f"### {title}\n\n| reference | noise (other) | ground | tree stem |\n|---|---:|---:|---:|"
-    )
-    cells = recall_table(parts, FOREST_NAMES, FOREST_NAMES)
-    for i, name in enumerate(("noise (other)", "ground", "tree stem")):
-        shown = [
-            cell if published is None else f"{cell} *{published[i][j]:.2f}*"
-            for j, cell in enumerate(cells[i])
-        ]
-        print(f"| {name} | {' | '.join(shown)} |")
-    print()
+    print(f"### {title}\n")
+    names = ("noise (other)", "ground", "tree stem")
+    rows = []
+    for i, cells in enumerate(recall_table(parts, FOREST_NAMES, FOREST_NAMES)):
+        beside = [""] * 3 if published is None else [f" *{share:.2f}*" for share in published[i]]
+        rows.append((names[i], *(a + b for a, b in zip(cells, beside, strict=True))))
+    table(("reference", *names), rows)
 
 
 def print_stems(
     matrices: dict[tuple[str, str, tuple[float, float]], list[ConfusionMatrix]],
 ) -> None:
-    names = (
-        "stem recall",
-        "precision",
-        "accuracy",
-        "ground recall",
-        "precision",
-        "accuracy",
-        "noise and other",
-    )
-    print(
-        "### Stems and ground in every forest\n\nLast column: share of the returns that is "
-        "called noise or other.\n"
-    )
-    print(
-        "| forest | ζ_s, ζ_p | reference | "
-        + " | ".join(names)
-        + " |\n|---|---|---|"
-        + "---:|" * len(names)
-    )
+    print("### Stems and ground in every forest\n")
+    print("Last column: share of the returns that is called noise or other.\n")
+    scores_of = ("recall", "precision", "accuracy")
+    names = [f"{kind} {score}" for kind in ("stem", "ground") for score in scores_of]
     paper = ConfusionMatrix(FOREST_NAMES, FOREST_NAMES, TABLE_II_COUNTS)
-    for scene in PLOTS:
-        for zetas in ZETAS:
-            for reference in ("cylinders", "truth"):
-                cells = stem_cells(pooled(matrices[scene, reference, zetas]))
-                print(
-                    f"| {scene} | {zetas[0]:g}, {zetas[1]:g} | {reference} | {' | '.join(cells)} |"
-                )
-    print(
-        "| *the paper, from its counts* | 0.01, 0.01 | cylinders | "
-        f"{' | '.join(stem_cells(paper))} |"
-    )
-    recall, precision = RELAXED_STEM
-    print(f"| *the paper* | 1, 0.1 | cylinders | {recall:.3f} | {precision:.3f} | | | | | |\n")
+    rows: list[tuple[object, ...]] = [
+        (scene, f"{zetas[0]:g}, {zetas[1]:g}", reference, *stem_cells(pooled(parts)))
+        for (scene, reference, zetas), parts in matrices.items()
+    ]
+    rows.append(("*the paper, from its counts*", "0.01, 0.01", "cylinders", *stem_cells(paper)))
+    rows.append(("*the paper*", "1, 0.1", "cylinders", *RELAXED_STEM, *[""] * 5))
+    table(("forest", "ζ_s, ζ_p", "reference", *names, "noise and other"), rows)
 
 
 def stem_cells(matrix: ConfusionMatrix) -> list[str]:
@@ -493,18 +377,6 @@ def static(folder: Path) -> None:
             rows.setdefault(f"`{preset}`", []).append(
                 compared(source, load_config(preset=preset), "street_scan")
             )
-        opaque = {"azimuth_step_deg": COARSE_DEG, "pane_share": 1.0, "ghost_share": 0.0}
-        source = made("street-scan", folder, seed=seed, scanner=opaque)
-        config = load_config(preset="street-scan")
-        rows.setdefault("`street-scan`, panes like walls", []).append(
-            compared(source, config, "street_scan")
-        )
-    for seed in range(FIRST_SEED, FIRST_SEED + FINE_STATIONS):
-        source = made("street-scan", folder, seed=seed)
-        title = f"`street-scan`, every line ({FINE_STATIONS} scans)"
-        rows.setdefault(title, []).append(
-            compared(source, load_config(preset="street-scan"), "street_scan")
-        )
     print("## Static scans: Stamos et al., Table 1\n")
     say(f"""{STATIONS} whole turns on mixed streets, as many as the paper has, lines {COARSE_DEG}°
     apart. Ground counts as horizontal, curbs as vertical, as there. The classifier was tuned on
@@ -516,22 +388,22 @@ def static(folder: Path) -> None:
         "prc classify station.npz labels.npy --preset street-scan",
         "prc evaluate labels.npy station.npz --mapping street_scan",
     )
-    say("""Panes like walls: every pane answers itself (`--set scanner.pane_share=1 --set
-    scanner.ghost_share=0`), so that no range comes from behind it.""")
-    print("| | " + " | ".join(f"{name} recall | precision" for name in SCAN_NAMES) + " | all |")
-    print("|---|" + "---:|---:|" * len(SCAN_NAMES) + "---:|")
-    for title, parts in rows.items():
-        print(f"| {title} | {' | '.join(spread_scores(parts))} |")
-    cells = " | ".join(f"{recall:.3f} | {precision:.3f}" for recall, precision in STAMOS)
-    print(f"| *the paper* | {cells} | {STAMOS_ALL} |\n")
+    columns = (name for kind in SCAN_NAMES for name in (f"{kind} recall", "precision"))
+    paper = ("*the paper*", *(f"{n:.3f}" for pair in STAMOS for n in pair), STAMOS_ALL)
+    table(
+        ("", *columns, "all"),
+        [*((title, *spread_scores(parts)) for title, parts in rows.items()), paper],
+    )
     print("### Confusion with `street-scan`\n\nShare of the reference's row.\n")
     matrix = pooled(rows["`street-scan`"])
-    print("| reference | " + " | ".join(SCAN_NAMES) + " | returns |\n|---|" + "---:|" * 5)
     names = (*SCAN_NAMES, "other")
-    for name, shares in zip(names, shares_of(matrix, names, SCAN_NAMES), strict=True):
-        n = matrix.counts[matrix.reference_names.index(name)].sum()
-        print(f"| {name} | {' | '.join(printed_at(share) for share in shares)} | {n:,} |")
-    print()
+    table(
+        ("reference", *SCAN_NAMES),
+        (
+            (name, *map(printed_at, shares))
+            for name, shares in zip(names, shares_of(matrix, names, SCAN_NAMES), strict=True)
+        ),
+    )
 
 
 def spread_scores(parts: list[ConfusionMatrix]) -> list[str]:
@@ -675,171 +547,50 @@ def oakland(folder: Path) -> None:
         f"{FIRST_SEED}",
         "prc classify strip.npz labels.npy --config sample_configs/sick_push_broom.toml",
     )
-    print_columns(columns)
-
-
-def print_columns(columns: dict[str, dict[str, float]]) -> None:
-    """A column a scan, a row a number; shares in percent, lengths to the centimetre."""
-    print("| | " + " | ".join(columns) + " |\n|---|" + "---:|" * len(columns))
+    rows = []
     for name in next(iter(columns.values())):
-        cells = [
-            f"{c[name]:.2f}" if name.endswith("[m]") else f"{c[name]:.1%}" for c in columns.values()
-        ]
-        print(f"| {name} | {' | '.join(cells)} |".replace("nan%", "-").replace("nan", "-"))
-    print()
-
-
-PARK_SIGHT_M = 15.4
-"""The park scan ends there."""
-PARK_HEIGHT_M = 1.3
-"""From its ranges toward the ground."""
-
-
-def park(folder: Path) -> None:
-    """A tripod in simulated forests beside the park scan."""
-    with np.load(DATA / "forest" / "tls_park.npz") as arrays:
-        real = arrays["range_m"][:, ::-1]
-        zenith = arrays["zenith_deg"][::-1]
-    if zenith[0] < zenith[-1]:
-        real = real[:, ::-1]
-        zenith = zenith[::-1]
-    columns = {"park": park_numbers(folder, np.ascontiguousarray(real, dtype=np.float32))}
-    m = real.shape[1]
-    n_lines = real.shape[0]
-    angles = 180.0 - zenith  # from down
-    scanner = SCANNERS["scanstation2"].changed(
-        points_per_line=m,
-        field_deg=float(angles[-1] - angles[0]) * m / (m - 1),
-        centre_deg=float(angles[0] + angles[-1]) / 2.0,
-        azimuth_step_deg=360.0 / n_lines,
-        divergence_mrad=0.35,
-        exit_mm=7.0,
-        noise_m=0.003,
-        max_range_m=300.0,
-    )
-
-    def near(
-        scene: ForestScene,
-        x_m: float,
-        y_m: float,
-        radius_m: float,
-        time_s: float,
-    ) -> Bodies:
-        return scene.bodies_near(x_m, y_m, radius_m)
-
-    for name, params in FORESTS.items():
-        scene = ForestScene(params, FIRST_SEED)
-        ground = scene.path_point(np.array([20.0]))[0][0]
-        place = Station(float(ground[0]), float(ground[1]), float(ground[2]) + PARK_HEIGHT_M)
-        scan = SimulatedScan(
-            name, partial(near, scene), scanner, place, FIRST_SEED, n_lines, PARK_SIGHT_M, threads=2
-        )
-        ranges = np.concatenate([block.range_m for block in scan.blocks()])
-        columns[f"{name}, simulated"] = park_numbers(folder, ranges)
-    print("## Beside the real park scan\n")
-    say(f"""A tripod in simulated forests, on the grid of the park scan ({n_lines} lines of {m}
-    shots, {PARK_HEIGHT_M} m above the ground), nothing beyond {PARK_SIGHT_M} m on either side,
-    where the real scan was cut. The park has conifers with branches down to the ground within a few
-    metres of the scanner; it is no forest, and the forests are no models of it. PRC with the forest
-    preset.""")
-    print_columns(columns)
-
-
-def park_numbers(folder: Path, range_m: F32) -> dict[str, float]:
-    source = folder / "park.npy"
-    np.save(source, range_m)
-    numbers = statistics(range_m)
-    classify(source, folder / "labels.npy", forest_config(0.01, 0.01), overwrite=True)
-    predicted = np.load(folder / "labels.npy").ravel()
-    codes = {name: code for code, name in ClassCodes().names().items()}
-    returned = max(int((predicted != 0).sum()), 1)
-    numbers["PRC: S, supported"] = 1.0 - int((predicted == codes["noise"]).sum()) / returned
-    for name in ("ground", "stem", "vegetation"):
-        numbers[f"PRC: {name}"] = int((predicted == codes[name]).sum()) / returned
-    return numbers
-
-
-SPEED = {
-    "street, `photon-80`": ("street", {}, 1920),
-    "street, `profiler-1mhz`": ("street", {"scanner": {"name": "profiler-1mhz"}}, 800),
-    "forest, `focus3d-120`": ("forest", {}, 1536),
-}
+        form = "{:.2f}" if name.endswith("[m]") else "{:.1%}"
+        cells = (form.format(column[name]) for column in columns.values())
+        rows.append((name, *("-" if "nan" in cell else cell for cell in cells)))
+    table(("", *columns), rows)
 
 
 def speed(folder: Path) -> None:
-    """All of a simulation, in memory: scene, casting, sensor."""
+    """Print the speed of a simulation: scene, casting, sensor, nothing written."""
+    del folder
     print("## Speed\n")
-    say("""Scene, casting and sensor, nothing written, a world that was not seen before; the shorter
-    of two runs by the clock, and by the time of all cores together, which other load disturbs less.
-    Last row: the whole command.""")
-    print(
-        "| simulation | threads | million shots a second | a second of one core "
-        "|\n|---|---:|---:|---:|"
-    )
-    kind: Kind
-    for title, (name, options, lines) in SPEED.items():
-        kind = "forest" if name == "forest" else "street"
-        settings = load_settings(kind, options={"lines": lines, **options})
+    say("""Scene, casting and sensor, nothing written, a world that was not seen before, after one
+    run that is not counted.""")
+    rows = []
+    for kind, scanner, lines in (
+        ("street", "photon-80", 1920),
+        ("street", "profiler-1mhz", 800),
+        ("forest", "focus3d-120", 1536),
+    ):
+        options = {"lines": lines, "scanner": {"name": scanner}}
+        settings = load_settings(kind, options=options)  # type: ignore[arg-type]
         for threads in (1, 2):
-            wall, cpu = quickest(partial(run_through, kind, settings, threads))
+            for _ in range(2):
+                start = time.perf_counter()
+                busy = time.process_time()
+                for _ in open_simulation(kind, settings, threads=threads).scan.simulated():  # type: ignore[arg-type]
+                    pass
+                wall = time.perf_counter() - start
+                cpu = time.process_time() - busy
             shots = lines * settings.scanner.points_per_line / 1e6
-            print(f"| {title} | {threads} | {shots / wall:.2f} | {shots / cpu:.2f} |")
-    lines = 1920
-    wall, cpu = quickest(lambda: made("street", folder, lines=lines))
-    shots = lines * 2154 / 1e6
-    print(f"| street to `.npz`, `photon-80` | 2 | {shots / wall:.2f} | {shots / cpu:.2f} |\n")
-
-
-def run_through(kind: Kind, settings: Settings, threads: int) -> None:
-    for _ in open_simulation(kind, settings, threads=threads).scan.simulated():
-        pass
-
-
-def quickest(job: Callable[[], object], runs: int = 2) -> tuple[float, float]:
-    """Shortest time by the clock and on all cores [s], after one run that is not counted."""
-    job()
-    seconds = []
-    for _ in range(runs):
-        start = time.perf_counter()
-        busy = time.process_time()
-        job()
-        seconds.append((time.perf_counter() - start, time.process_time() - busy))
-    return min(wall for wall, _ in seconds), min(cpu for _, cpu in seconds)
+            name = f"{kind}, `{scanner}`"
+            rows.append((name, threads, f"{shots / wall:.2f}", f"{shots / cpu:.2f}"))
+    table(("simulation", "threads", "million shots a second", "a second of one core"), rows)
 
 
 PARTS: dict[str, Callable[[Path], None]] = {
     "urban": urban,
     "forest": forest,
-    "unsupported": unsupported,
     "static": static,
     "oakland": oakland,
-    "park": park,
     "speed": speed,
 }
 
 
-def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; default: all"
-    )
-    arguments = parser.parse_args()
-    for part in arguments.parts:
-        if part not in PARTS:
-            parser.error(f"found {part!r}, expected {', '.join(PARTS)}")
-    print(heading("Simulated scans: figures", "simulated"))
-    say("""The simulator is described [here](../simulation.md), with what to make of these figures.
-    No parameter was chosen on these seeds; `fused` was tuned on other seeds of this simulator. The
-    forest's defaults were chosen with the shares of Table II's reference in view, on other
-    seeds.""")
-    with tempfile.TemporaryDirectory() as name:
-        for part in arguments.parts or PARTS:
-            PARTS[part](Path(name))
-    print(duration())
-
-
 if __name__ == "__main__":
-    main()
+    run_parts(__doc__, "Simulated scans: figures", "simulated", PARTS)

@@ -14,41 +14,34 @@ same scan rightly told. A scan that is rightly told and refused or doubted is a 
 
 from __future__ import annotations
 
-import argparse
-import json
 import re
 import shlex
 import sys
 import tempfile
 import time
 import zlib
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, TypeAlias
 
 import numpy as np
 
-from benchmarks.contest_data import ROOT
-from benchmarks.contest_judge import Verdict, mapping_of
-from benchmarks.pages import duration, heading, say
+from benchmarks.contest_judge import Verdict, counted, mapping_of
+from benchmarks.pages import ROOT, duration, heading, parser_of, say, table
 from benchmarks.trust_cases import (
-    FRAME_ROWS,
-    KITTI_CONFIG,
     METHODS,
     ROWS,
     Context,
     Pair,
     Row,
     Told,
-    frame_file,
     methods_of,
     right_forms,
 )
-from benchmarks.trust_scans import PARTS, Frame, Part, Source, Window, frames, sources
+from benchmarks.trust_scans import PARTS, Part, Source, Window, sources
 from benchmarks.user import Runner, in_own_process, in_process
 from prc_cli.core.types import I64, U8
-from prc_cli.evaluation.confusion import GroupedCounts, cells_of
 
 _OPTION = (
     r"(?:-M \d+|--set [a-z_.]+=[^A-Z\s;,)]+(?=[\s;,)]|$)|--sort-by-time|--scanner [a-z_]+"
@@ -266,10 +259,8 @@ def macro_f1(mapping: str, codes: U8, truth: I64) -> float:
     judged = truth != 0
     predicted = codes[judged].astype(np.int64)
     predicted[predicted == 0] = 1
-    counts = GroupedCounts(classes, "cases")
-    cells = cells_of(classes, predicted, classes.class_indices(truth[judged], "reference"))
-    counts.add(np.zeros(len(cells), np.int64), cells)
-    verdict = Verdict(classes.names("reference"), classes.names("predicted"), counts.scored()).f1()
+    counts = counted(classes, predicted, truth[judged])
+    verdict = Verdict(classes.names("reference"), classes.names("predicted"), counts).f1()
     return float(np.mean(np.nan_to_num(list(verdict.values()))))
 
 
@@ -289,32 +280,15 @@ def try_window(
     """Run a window rightly told, then the rows, with every method."""
     for method in methods_of(window):
         random = random_of(seed, "right", window.scan, window.first_line, method)
-        context = Context(
-            trial.folder, method, random, source.slower if source.can_be_slower else None
-        )
+        context = Context(trial.folder, method, random)
         case = Case(TOLD, window.scan, window.first_line, method, window.mapping, METHODS[method])
         forms = right_forms(window)
         stated = forms[form % len(forms)](window, context)
-        if not window.is_labelled:
-            done, _ = trial.classify(stated, case.options)
-            if done.labels is None:
-                trial.judge(case, stated, 1.0, is_right=True)
-                continue
-            window = replace(window, codes=_as_image(window, done.labels, stated))
-            stated = forms[form % len(forms)](window, context)
         right = trial.judge(case, stated, 0.0, is_right=True)
         f1_right = 1.0 if np.isnan(right.f1) else right.f1
         for row in rows:
             if not row.aimed_only or context.is_aimed:
                 try_row(trial, row, window, context, f1_right, seed)
-
-
-def _as_image(window: Window, labels: U8, stated: Told) -> I64:
-    """Return the labels of records as reference codes of a window."""
-    codes = np.zeros(window.range_m.size, np.int64)
-    there = ~np.isnan(window.range_m.ravel())
-    codes[there] = labels if len(labels) == np.count_nonzero(there) else labels[there]
-    return codes.reshape(window.range_m.shape)
 
 
 def try_row(
@@ -344,26 +318,6 @@ def try_row(
     return trial.judge(case, made, f1_right, is_right=row.is_right)
 
 
-def try_frame(
-    trial: Trial,
-    frame: Frame,
-    only: str,
-    seed: int,
-) -> None:
-    """Run a frame of rings rightly told, then its rows."""
-    for method in ("fused", "sequential-angle"):
-        context = Context(trial.folder, method, random_of(seed, frame.scan, method))
-        options = (*KITTI_CONFIG, *METHODS[method])
-        case = Case(TOLD, frame.scan, frame.first_line, method, frame.mapping, options)
-        right = trial.judge(case, frame_file(frame, context), 0.0, is_right=True)
-        for row in FRAME_ROWS:
-            if only in row.name:
-                stated = row.make(frame, replace(context, random=random_of(seed, row.name, method)))
-                trial.judge(
-                    replace(case, row=row.name), stated, 1.0 if np.isnan(right.f1) else right.f1
-                )
-
-
 def run_set(
     trial: Trial,
     part: Part,
@@ -388,9 +342,6 @@ def run_set(
         report_progress(
             f"{source.name}: {len(windows)} windows, {time.perf_counter() - start:.0f} s"
         )
-    for frame in frames(part, is_quick=is_quick):
-        try_frame(trial, frame, only, seed)
-        report_progress(frame.scan)
 
 
 def chosen_windows(
@@ -424,22 +375,24 @@ def print_summary(results: list[Result]) -> None:
     """One row per corruption."""
     print("## In short\n")
     wrong = [result for result in results if not result.is_right]
-    names = dict.fromkeys([*(row.name for row in ROWS), *(row.name for row in FRAME_ROWS)])
-    print("| what is wrong | cases | silent | doubted | refused | harmless | hint works |")
-    print("|---|---:|---:|---:|---:|---:|---:|")
-    for name in names:
-        of_row = [result for result in wrong if result.row == name]
-        if of_row:
-            print(f"| {name} | {len(of_row)} | {_counts(of_row)} |")
-    print(f"| all | {len(wrong)} | {_counts(wrong)} |\n")
+    names = [row.name for row in ROWS]
+    by_row = {name: [result for result in wrong if result.row == name] for name in names}
+    table(
+        ("what is wrong", "cases", *OUTCOMES, "hint works"),
+        (
+            (name, len(of_row), *_counts(of_row))
+            for name, of_row in {**by_row, "all": wrong}.items()
+            if of_row
+        ),
+    )
 
 
-def _counts(results: list[Result]) -> str:
+def _counts(results: list[Result]) -> list[str]:
     hints = [result.hint_works for result in results if result.hint_works is not None]
     counts = [
         str(sum(result.outcome == outcome for result in results) or "") for outcome in OUTCOMES
     ]
-    return " | ".join([*counts, f"{sum(hints)} of {len(hints)}" if hints else ""])
+    return [*counts, f"{sum(hints)} of {len(hints)}" if hints else ""]
 
 
 def print_alarms(results: list[Result]) -> None:
@@ -448,18 +401,16 @@ def print_alarms(results: list[Result]) -> None:
     say("""Windows along the scan that are rightly told, in turn as a plain dump, .npz, records,
     text and LAS, with every method; and in other forms with nothing wrong. Not told: scan angles in
     the file, nothing of straight down; what is refused or doubted there may be so with reason.""")
-    print(
-        "| scan | rightly told | doubted | refused | down not told | doubted | refused | silent |"
-    )
-    print("|---|---:|---:|---:|---:|---:|---:|---:|")
+    rows = []
     for name in [*dict.fromkeys(result.scan for result in results), ""]:
         of_scan = [result for result in results if name in ("", result.scan)]
         right = [result for result in of_scan if result.is_right]
         untold = [result for result in of_scan if result.row == "down not told"]
         cells = [len(right), *(_n(right, kind) for kind in ("doubted", "refused")), len(untold)]
         cells += [_n(untold, kind) for kind in ("doubted", "refused", "silent")]
-        print(f"| {name or 'all'} | {' | '.join(str(cell or '') for cell in cells)} |")
-    print()
+        rows.append((name or "all", *(cell or "" for cell in cells)))
+    wrongs = ("down not told", "doubted", "refused", "silent")
+    table(("scan", "rightly told", "doubted", "refused", *wrongs), rows)
     alarms = [result for result in results if result.is_alarm]
     n_right = sum(result.is_right for result in results)
     if n_right:
@@ -488,44 +439,18 @@ def print_silent(results: list[Result]) -> None:
     if not silent:
         print("None.\n")
         return
-    print(
-        "| what is wrong | scan | from line | method | macro F1 | rightly told "
-        "|\n|---|---|---:|---|---:|---:|"
+    table(
+        ("what is wrong", "scan", "from line", "method", "macro F1", "rightly told"),
+        (
+            (r.row, r.scan, r.first_line, r.method, f"{r.f1:.2f}", f"{r.f1_right:.2f}")
+            for r in silent
+        ),
     )
-    for result in silent:
-        print(
-            f"| {result.row} | {result.scan} | {result.first_line} | {result.method} | "
-            f"{result.f1:.2f} | {result.f1_right:.2f} |"
-        )
-    print()
-
-
-def print_words(results: list[Result]) -> None:
-    """What is said first, by row: whether it leads to the right command."""
-    print("## What is said\n")
-    print("| what is wrong | exit code | first line |\n|---|---:|---|")
-    seen: set[tuple[str, int]] = set()
-    for result in results:
-        if result.said and (result.row, result.exit_code) not in seen:
-            seen.add((result.row, result.exit_code))
-            print(f"| {result.row} | {result.exit_code} | {result.said.replace('|', '/')} |")
-    print()
-
-
-def as_json(results: list[Result]) -> Iterator[dict[str, object]]:
-    for result in results:
-        values = asdict(result)
-        yield {
-            key: None if isinstance(value, float) and np.isnan(value) else value
-            for key, value in values.items()
-        }
 
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--set", dest="part", choices=PARTS, default="held-out")
     parser.add_argument("--quick", action="store_true", help="three small scans")
     parser.add_argument(
@@ -534,7 +459,6 @@ def main() -> None:
     parser.add_argument(
         "--only", metavar="NAME", default="", help="only rows whose name holds this text"
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write every run")
     parser.add_argument(
         "--processes", action="store_true", help="a process for every run, as in a shell; slow"
     )
@@ -559,15 +483,11 @@ def main() -> None:
     code 0, no warning, and macro F1 more than {LOST:.2f} below the same scan rightly told. Doubted:
     a warning, or exit code 4. Refused: nothing is written. Harmless: macro F1 within {LOST:.2f}.
     Hint works: of the messages that name an option with its value, those that give, typed, labels
-    within {NEAR:.2f} of the scan rightly told. The RIEGL strip has no reference: its labels when
-    rightly told are the reference.""")
+    within {NEAR:.2f} of the scan rightly told.""")
     print_summary(results)
     print_alarms(results)
     print_silent(results)
-    print_words(results)
     print(duration())
-    if arguments.json is not None:
-        arguments.json.write_text(json.dumps(list(as_json(results)), indent=1), encoding="utf-8")
     report_progress(f"{len(results)} runs, {time.perf_counter() - start:.0f} s")
 
 

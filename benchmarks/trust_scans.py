@@ -16,9 +16,8 @@ import numpy as np
 
 from benchmarks import contest_data as data
 from benchmarks.contest_data import GAP_DOWN, Scan, Simulated
+from benchmarks.pages import DATA
 from prc_cli.core.types import F32, F64, I64
-from prc_cli.simulation.scanners import SCANNERS
-from prc_cli.streams.down import fit_heights
 
 Part = Literal["tuning", "held-out"]
 PARTS: tuple[Part, ...] = ("tuning", "held-out")
@@ -30,11 +29,7 @@ FEW_COLUMNS = 400
 
 PRC runs with their parameters, and sequential-angle too.
 """
-USUAL_M = 0.15
-"""Drives whose lines are closer than this are slow already [m]."""
 OAKLAND_LINES_HZ = 37.5
-RIEGL_COLUMNS = 2917
-RIEGL_LINES_HZ = 100.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +55,6 @@ class Window:
     """(lines, M, 3) float64, registered [m]."""
     scanner_m: F64 | None = None
     """(lines, 3) float64, where the scanner was amid every line [m]."""
-    is_labelled: bool = True
-    """Otherwise the labels of the scan rightly told are the reference."""
 
     @property
     def points_per_line(self) -> int:
@@ -90,42 +83,6 @@ class Window:
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
-    """A frame of a spinning scanner, ring after ring."""
-
-    scan: str
-    points: F32
-    """(n, 4) float32: x, y, z [m] and intensity."""
-    codes: I64
-    """(n,) int64, reference codes."""
-    mapping: str = "kitti"
-    first_line: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Drive(Simulated):
-    """A simulated scan with another way between lines."""
-
-    between_lines_m: float | None = None
-
-    def options(self) -> dict[str, Any]:
-        options = Simulated.options(self)
-        if self.between_lines_m is not None:
-            speed = self.between_lines_m * self.line_hz
-            options["trajectory"] |= {"speed_m_s": speed, "speed_variation": 0.0}
-        return options
-
-    @property
-    def line_hz(self) -> float:
-        return float(self.mount.get("line_hz", SCANNERS[self.scanner].line_hz))
-
-    @property
-    def usual_m(self) -> float:
-        """Way between lines at the usual speed [m]."""
-        return (1.1 if self.kind == "forest" else 8.33) / self.line_hz
-
-
-@dataclass(frozen=True, slots=True)
 class Source:
     """A scan, cut into windows."""
 
@@ -134,9 +91,8 @@ class Source:
     make: Callable[[], Scan]
     n_lines: int
     """Lines of a window."""
-    spec: Drive | None = None
-    """Simulated ones: how, for the same street driven in another way."""
-    is_labelled: bool = True
+    spec: Simulated | None = None
+    """Parameters of simulated ones."""
 
     def windows(self, n: int) -> list[Window]:
         """Return windows that begin at even distances along the scan.
@@ -148,23 +104,7 @@ class Source:
         per_window = min(self.n_lines, lines)
         n = min(n, 1 + (lines - per_window) // max(per_window // 8, 1))
         firsts = np.unique(np.linspace(0, lines - per_window, n).astype(int))
-        return [
-            cut(self.name, scan, int(first), per_window, is_labelled=self.is_labelled)
-            for first in firsts
-        ]
-
-    def slower(self, between_lines_m: float) -> Window:
-        """Return the street driven with another way between lines."""
-        assert self.spec is not None
-        length_m = between_lines_m * (self.n_lines + 2)
-        scan = data.simulated(
-            replace(self.spec, length_m=length_m, between_lines_m=between_lines_m)
-        )
-        return cut(self.name, scan, 0, min(self.n_lines, len(scan.range_m)))
-
-    @property
-    def can_be_slower(self) -> bool:
-        return self.spec is not None and self.spec.usual_m > USUAL_M
+        return [cut(self.name, scan, int(first), per_window) for first in firsts]
 
 
 def cut(
@@ -172,8 +112,6 @@ def cut(
     scan: Scan,
     first: int,
     n_lines: int,
-    *,
-    is_labelled: bool = True,
 ) -> Window:
     """Return some lines of a scan; its angles count from the first column."""
     lines = slice(first, first + n_lines)
@@ -192,7 +130,6 @@ def cut(
         time_s=np.ascontiguousarray(time_s[lines]),
         world_m=None if scan.world_m is None else scan.world_m[lines],
         scanner_m=None if scan.scanner_m is None else scan.scanner_m[lines],
-        is_labelled=is_labelled,
     )
 
 
@@ -203,70 +140,6 @@ def _times(scan: Scan) -> F64:
     lines, m = scan.range_m.shape
     times: F64 = (np.arange(lines)[:, None] + 0.75 * np.arange(m) / m) / OAKLAND_LINES_HZ
     return times
-
-
-def riegl() -> Scan:
-    """Return the real profiler drive.
-
-    One column a step of the mirror, exact copies of returns left out.
-
-    Shots without return are no rows of the files; the angle says where they are missing.
-    """
-    vectors = [
-        f"{axis}{of}" for of in ("_sensor", "_origin_sensor", "", "_origin") for axis in "xyz"
-    ]
-    floats = [*vectors, "range", "theta", "phi"]
-    after = ("amplitude", "reflectance", "deviation", "background_radiation")
-    kind = np.dtype(
-        [
-            ("time", ">f8"),
-            *((name, ">f4") for name in floats),
-            ("num_echo", "u1"),
-            ("nb_of_echo", "u1"),
-            *((name, ">f4") for name in after),
-        ]
-    )
-    parts = []
-    for path in sorted((data.DATA / "riegl").glob("*.ply")):
-        content = path.read_bytes()
-        parts.append(
-            np.frombuffer(
-                content, kind, offset=content.index(b"end_header\n") + len(b"end_header\n")
-            )
-        )
-    rows = np.concatenate(parts)
-    time_s = rows["time"].astype(np.float64)
-    # further returns of a shot have its time
-    rows = rows[np.diff(time_s, prepend=-np.inf) > 0]
-    time_s = time_s[np.diff(time_s, prepend=-np.inf) > 0]
-    step = 2.0 * np.pi / RIEGL_COLUMNS
-    turned = np.unwrap(rows["theta"].astype(np.float64)) + np.pi
-    place = np.rint(turned / step).astype(np.int64)
-    line, column = np.divmod(place, RIEGL_COLUMNS)
-    line -= line[0]
-    shape = (int(line[-1]) + 1, RIEGL_COLUMNS)
-    range_m = np.full(shape, np.nan, np.float32)
-    range_m[line, column] = rows["range"]
-    world_m = np.full((*shape, 3), np.nan)
-    for axis, name in enumerate("xyz"):
-        world_m[line, column, axis] = rows[name]
-    angle: F64 = -np.pi + step * np.arange(RIEGL_COLUMNS, dtype=np.float64)
-    start_s = float(time_s[0]) - (float(turned[0]) % (2 * np.pi)) / (2 * np.pi) / RIEGL_LINES_HZ
-    fired = (
-        start_s + (np.arange(shape[0])[:, None] + np.arange(shape[1]) / shape[1]) / RIEGL_LINES_HZ
-    )
-    fit = fit_heights(angle[column], range_m[line, column], world_m[line, column, 2], line)
-    codes = np.zeros(shape, np.int64)
-    return Scan(
-        "RIEGL strip", range_m, angle - fit.down_rad, codes, "street", time_s=fired, world_m=world_m
-    )
-
-
-def kitti() -> Frame:
-    """Return the labelled frame as it is in the file."""
-    source = data.DATA / "kitti" / "000000.bin"
-    codes = np.fromfile(source.with_suffix(".label"), np.uint32).astype(np.int64) & 0xFFFF
-    return Frame("KITTI frame", np.fromfile(source, np.float32).reshape(-1, 4), codes)
 
 
 _LINES = {"photon-80": 256, "focus3d-120": 144, "profiler-1mhz": 144, "sick-push-broom": 512}
@@ -287,7 +160,7 @@ class _Plan:
 
     def source(self, part: Part, seed: int, *, is_short: bool) -> Source:
         n_lines = _LINES[self.scanner]
-        spec = Drive(
+        spec = Simulated(
             self.name,
             seed,
             self.length_m,
@@ -419,19 +292,11 @@ def sources(part: Part, seed: int = 0, *, is_quick: bool = False) -> Iterator[So
         if not is_quick or i in _QUICK[part]:
             yield plan.source(part, FIRST_SEED[part] + SEEDS_APART * seed + i, is_short=is_quick)
     strips = (1,) if part == "tuning" else (2, 3)
-    if (data.DATA / "oakland").exists() and not is_quick:
+    if (DATA / "oakland").exists() and not is_quick:
         for strip in strips:
             yield Source(f"Oakland strip {strip}", part, partial(data.oakland, strip), 256)
-    if part == "held-out" and (data.DATA / "riegl").exists() and not is_quick:
-        yield Source("RIEGL strip", part, riegl, 100, is_labelled=False)
 
 
 def toy(name: str) -> Source:
     """Return a small scan for tests."""
     return _TOYS[name].source("tuning", TOY_SEED, is_short=False)
-
-
-def frames(part: Part, *, is_quick: bool = False) -> Iterator[Frame]:
-    """Return the real frames of a set."""
-    if part == "held-out" and (data.DATA / "kitti").exists() and not is_quick:
-        yield kitti()

@@ -1,17 +1,20 @@
-"""Runs ``prc`` as a user does: arguments in; exit code, stderr and files out."""
+"""Runs ``prc`` as a user does: arguments in; exit code, stderr, files, time and memory out."""
 
 from __future__ import annotations
 
 import contextlib
 import io
+import json
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Sequence
-from typing import TypeAlias
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
 
-from benchmarks.contest_data import ROOT
+from benchmarks.pages import ROOT
 from prc_cli.cli import main
 from tests.messages import folded
 
@@ -43,23 +46,47 @@ def in_process(arguments: list[str]) -> tuple[int, str]:
 
 def in_own_process(arguments: list[str]) -> tuple[int, str]:
     """Run the command line as a shell does."""
-    command = [sys.executable, "-m", "prc_cli", *arguments]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    return done.returncode, folded(done.stderr)
+    done = run(*arguments, check=False)
+    return done.code, folded(done.stderr)
 
 
-CHILD = """
+_CHILD = """
 import resource, subprocess, sys
 # a process takes over the peak of the one that starts it: this one is small
-command = [sys.executable, "-m", "prc_cli", *sys.argv[1:]]
-code = subprocess.run(command, stdout=sys.stderr).returncode
+code = subprocess.run([sys.executable, "-m", "prc_cli", *sys.argv[1:]]).returncode
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
 unit = 1024**2 if sys.platform == "darwin" else 1024
-print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / unit)
+print(f"\\nused {used.ru_maxrss / unit} {used.ru_utime + used.ru_stime}")
 sys.exit(code)
 """
 
 
-def peak_mib(arguments: Sequence[str]) -> float:
-    """Run ``prc`` with these arguments; return its peak memory [MiB]."""
-    command = [sys.executable, "-c", CHILD, *arguments]
-    return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+@dataclass(frozen=True, slots=True)
+class Done:
+    """A command that ran in its own process."""
+
+    code: int
+    stdout: str
+    stderr: str
+    seconds: float
+    """Wall time."""
+    cpu_s: float
+    peak_mib: float
+
+    def table(self) -> Any:
+        """Return what ``--json`` printed."""
+        return json.loads(self.stdout)
+
+
+def run(*arguments: object, check: bool = True) -> Done:
+    """Run ``prc`` in its own process; a failure is an error if ``check``."""
+    command = [sys.executable, "-c", _CHILD, *map(str, arguments)]
+    start = time.perf_counter()
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    seconds = time.perf_counter() - start
+    if check and done.returncode not in (0, 4):
+        problem = f"prc {' '.join(command[3:])}\n{done.stderr}"
+        raise RuntimeError(problem)
+    stdout, _, used = done.stdout.rpartition("\nused ")
+    peak_mib, cpu_s = (float(number) for number in used.split())
+    return Done(done.returncode, stdout, done.stderr, seconds, cpu_s, peak_mib)

@@ -179,13 +179,13 @@ HEAVIEST = {
         "riddles": 140,
     },
     "benchmarks": {
-        "tokens": 102_000,
+        "tokens": 58_000,
         "tokens_per_line": 9.3,
         "long_lines": 5,
         "packed_share": 0.015,
         "tuples": 3,
         "format_skips": 10,
-        "riddles": 24,
+        "riddles": 12,
     },
 }
 """What a reader had to read at the last release, with 5 % air."""
