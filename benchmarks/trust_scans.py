@@ -18,6 +18,7 @@ from benchmarks import contest_data as data
 from benchmarks.contest_data import GAP_DOWN, Scan, Simulated
 from benchmarks.pages import DATA
 from prc_cli.core.types import F32, F64, I64
+from prc_cli.simulation.scanners import SCANNERS
 
 Part = Literal["tuning", "held-out"]
 PARTS: tuple[Part, ...] = ("tuning", "held-out")
@@ -171,7 +172,9 @@ class _Plan:
             self.kind,
         )
         if is_short:
-            spec = replace(spec, length_m=1.5 * n_lines * spec.usual_m)
+            line_hz = self.mount.get("line_hz", SCANNERS[self.scanner].line_hz)
+            speed_m_s = 1.1 if self.kind == "forest" else 8.33
+            spec = replace(spec, length_m=1.5 * n_lines * speed_m_s / line_hz)
         return Source(self.name, part, partial(data.simulated, spec), n_lines, spec)
 
 
