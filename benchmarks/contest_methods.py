@@ -100,12 +100,12 @@ def _is_push_broom(scan: Scan) -> bool:
 
 
 PAPERS = (
-    Method("PRC, published", "urban"),
-    Method("PRC, published, ζ_p 0.1 m", "urban", {"prc": {"support": {"zeta_p": 0.1}}}),
+    Method("PRC, published", "prc-2019-urban"),
+    Method("PRC, published, ζ_p 0.1 m", "prc-2019-urban", {"prc": {"support": {"zeta_p": 0.1}}}),
     Method("PRC, for push-brooms", path=SICK, suits=_is_push_broom),
     Method("sequential-angle", "street-scan"),
-    Method("PRC forest, ζ 0.01 m, 0.01 m", "forest", _zeta(0.01, 0.01), mappings=FORESTS),
-    Method("PRC forest, ζ 1 m, 0.1 m", "forest", _zeta(1.0, 0.1), mappings=FORESTS),
+    Method("PRC forest, ζ 0.01 m, 0.01 m", "prc-2019-forest", _zeta(0.01, 0.01), mappings=FORESTS),
+    Method("PRC forest, ζ 1 m, 0.1 m", "prc-2019-forest", _zeta(1.0, 0.1), mappings=FORESTS),
 )
 """The methods of both papers, with published parameters except for the two push-broom presets."""
 

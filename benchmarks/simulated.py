@@ -312,8 +312,8 @@ def forest(folder: Path) -> None:
     commands(
         f"prc simulate forest walk.npz --length {WALK_M:g} --seed {FIRST_SEED} --reference "
         "cylinders",
-        "prc classify walk.npz labels.npy --preset prc-2019-forest --set prc.support.zeta_s=1 --set "
-        "prc.support.zeta_p=0.1",
+        "prc classify walk.npz labels.npy --preset prc-2019-forest --set prc.support.zeta_s=1 "
+        "--set prc.support.zeta_p=0.1",
         "prc evaluate labels.npy walk.npz --mapping lehtola_forest",
     )
     for zetas in ZETAS:

@@ -37,7 +37,7 @@ METHODS: dict[str, tuple[str, ...]] = {
     "prc push-broom": ("--config", str(ROOT / "sample_configs" / "sick_push_broom.toml")),
     "prc forest": (
         "--preset",
-        "forest",
+        "prc-2019-forest",
         "--set",
         "prc.support.zeta_s=1",
         "--set",
