@@ -47,7 +47,7 @@ DRIVES = {
     "vlp-32c": "street --scanner vlp-32c --duration 2.5 --seed 5106",
     "hdl-64e": "street --scanner hdl-64e --duration 1.5 --seed 5107",
     "forest": "forest --scanner focus3d-120 --duration 4 --seed 5108",
-    "open field": f"street --scanner photon-80 --duration 8 --seed 5109 --sight 25 {FIELD}",
+    "open field": f"street --scanner photon-80 --duration 8 --seed 5109 --set sight_m=25 {FIELD}",
     "standing": "street --scanner photon-80 --duration 18 --seed 5110 --speed 4 "
     "--set trajectory.stop_every_m=45",
 }
