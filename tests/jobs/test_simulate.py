@@ -201,7 +201,7 @@ def test_memory_does_not_grow_with_the_length(tmp_path: Path) -> None:
         (
             "street",
             {"scanner": {"slant": 3}},
-            "unknown key 'scanner.slant'; did you mean 'slant_deg'",
+            "unknown key 'scanner.slant'; did you mean 'scanner.slant_deg'",
         ),
         (
             "street",

@@ -122,7 +122,7 @@ def test_pipeline_equals_the_oracle_at_the_published_parameters() -> None:
         ({"lines_per_block": 0}, "lines_per_block: found 0"),
         ({"environment": "desert"}, "environment: found 'desert', expected: .*'urban' or 'forest'"),
         ({"surface": {}}, "unknown key 'surface'; did you mean 'surfaces'"),
-        ({"support": {"zeta": 1}}, "unknown key 'support.zeta'; did you mean 'zeta_"),
+        ({"support": {"zeta": 1}}, "unknown key 'support.zeta'; did you mean 'support.zeta_"),
     ],
 )
 def test_parameters_out_of_bounds_name_key_found_and_expected(
