@@ -66,7 +66,7 @@ FEW_SHOTS = 100
 @click.option(
     "--confidence",
     is_flag=True,
-    help="Also write how sure every label is, 1 to 100 (fused, rings).",
+    help="Also write how sure every label is [%] (fused).",
 )
 @click.option(
     "--reason", is_flag=True, help="Also write the number of the rule that gave the label."

@@ -86,10 +86,10 @@ def test_a_message_has_a_line_for_the_fault_the_reason_and_the_hint(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    write_npz(tmp_path / "drive.npz", street())
+    (tmp_path / "o.npz").mkdir()
     with pytest.raises(SystemExit):
-        main(["simulate", "street", "."])
-    message = "error: .: is a folder\n  expected a file name\n  hint: name the file inside it\n"
+        main(["simulate", "street", "o.npz", "--lines", "2"])
+    message = "error: o.npz: is a folder\n  expected a file name\n  hint: name the file inside it\n"
     assert capsys.readouterr().err == message
 
 
