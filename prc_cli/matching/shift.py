@@ -185,16 +185,17 @@ def _coarse_shift(left: Cloud, right: Cloud) -> F64 | None:
     middle = np.array([columns[fullest] * CELL_M, rows[fullest] * CELL_M]) + CELL_M / 2
     half = np.array(_SHIFT_VOXELS) * SHIFT_VOXEL_M / 2
     box = (*(middle - half[:2]).tolist(), *(middle + half[:2]).tolist())
-    left_points = left.read(box)
-    right_points = right.read(box)
-    if min(len(left_points["z"]), len(right_points["z"])) < _LEAST_RECORDS:
+    # only the coordinates are kept: clouds may have many other columns
+    left_xyz = xyz_of(left.read(box))
+    right_xyz = xyz_of(right.read(box))
+    if min(len(left_xyz), len(right_xyz)) < _LEAST_RECORDS:
         return None
 
     # how many occupied voxels fall on each other after every shift
-    corner = np.append(middle, np.median(left_points["z"])) - half
+    corner = np.append(middle, np.median(left_xyz[:, 2])) - half
     transforms = []
-    for points in (left_points, right_points):
-        voxel = np.floor((xyz_of(points) - corner) / SHIFT_VOXEL_M).astype(np.int64)
+    for xyz in (left_xyz, right_xyz):
+        voxel = np.floor((xyz - corner) / SHIFT_VOXEL_M).astype(np.int64)
         is_inside = ((voxel >= 0) & (voxel < _SHIFT_VOXELS)).all(axis=1)
         grid = np.zeros(_SHIFT_VOXELS, np.float32)
         grid[tuple(voxel[is_inside].T)] = 1.0
