@@ -17,7 +17,6 @@ TO_BE_MADE_ANEW = frozenset(
         "odometry",
         "real_scans",
         "rings",
-        "sequential_angle",
         "simulation",
         "speed",
         "trust",

@@ -72,7 +72,7 @@ RULES: dict[Reason, Rule] = {
     ),
     Reason.GROUND_HEIGHT: Rule(
         "horizontal, and at the height of the ground",
-        ("sequential_angle.ground.height_tolerance_m",),
+        ("sequential_angle.ground.height_tolerance",),
     ),
     Reason.CURB_REGION: Rule(
         "a low vertical face between two ground surfaces, visible in enough lines",

@@ -48,7 +48,6 @@ def chord_case(rng: Generator) -> tuple[Any, ...]:
     ranges, xyz = points(rng, n_rows, n)
     thresholds = ChordThresholds(
         least_chord_m=float(rng.choice([0.0, 0.125, 0.25, 0.3, 1.0])),
-        depth_m=float(rng.choice([0.0, 0.125, 0.2])),
         max_shots=int(rng.choice([1, 2, 5, 256])),
     )
     return ranges, xyz, lengths(rng, n_rows, n), thresholds
@@ -118,9 +117,7 @@ def hmm_case(rng: Generator) -> tuple[Any, ...]:
         initial_h0=tuple(initial_h0),  # type: ignore[arg-type]
         initial_h1=tuple(initial_h1),  # type: ignore[arg-type]
         threshold=float(rng.choice([0.5, 2.5, 10.0])),
-        threshold_back=float(rng.choice([0.5, 2.5, 10.0])),
         backdate=bool(rng.random() < 0.5),
-        sprt=bool(rng.random() < 0.5),
         accept=float(rng.choice([1.0, 3.0, 10.0])),
         reject=float(rng.choice([-1.0, -2.5, -5.0])),
         merge_gap=int(rng.choice([0, 1, 5, 20])),
@@ -136,9 +133,8 @@ def surface_case(rng: Generator) -> tuple[Any, ...]:
     )
     drifts = rng.choice([30.0, 45.0, 60.0], 2)
     thresholds = rng.choice([0.0, 15.0, 30.0, 45.0, 90.0], 2)
-    flags = (bool(flag) for flag in rng.random(3) < 0.5)
     cusum = SurfaceThresholds(
-        float(drifts[0]), float(thresholds[0]), float(drifts[1]), float(thresholds[1]), *flags
+        float(drifts[0]), float(thresholds[0]), float(drifts[1]), float(thresholds[1])
     )
     return angles, vegetation, ranges, lengths(rng, n_rows, n), cusum
 

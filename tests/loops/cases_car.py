@@ -12,7 +12,6 @@ from prc_cli.core.types import F32, F64, I32, U8
 from prc_cli.methods.sequential_angle.thresholds import (
     DividerThresholds,
     FourierThresholds,
-    WindowThresholds,
 )
 
 MISSING, DENSE, H, V, UNDECIDED = range(5)
@@ -96,7 +95,6 @@ def divider_thresholds(rng: Generator) -> DividerThresholds:
     return DividerThresholds(
         height_m=float(rng.choice([0.5, 2.0, 100.0])),
         tall_m=float(rng.choice([0.0, 1.0, 2.5, 101.0])),
-        glass_m=float(rng.choice([0.0, 0.5, 10.0])),
         sudden_from_deg=-5.0,
         sudden_to_deg=20.0,
         change_chord_m=float(rng.choice([0.0, 0.08, 0.25, 0.75])),
@@ -110,17 +108,13 @@ def divider_thresholds(rng: Generator) -> DividerThresholds:
         flat_residual_m=0.0503,
         flat_slope=float(np.tan(np.deg2rad(rng.choice([10.0, 25.0])))),
         flat_step_m=float(rng.choice([0.25, np.inf])),
-        flat_above_m=float(rng.choice([0.0, 0.25, np.inf])),
         vertical_extent_m=float(rng.choice([0.0, 0.25, 1.25])),
-        vertical_break_m=float(rng.choice([0.0, 0.25, 1.0])),
         vertical_top_m=float(rng.choice([-np.inf, 1.0, 2.0])),
         vertical_slope=float(np.tan(np.deg2rad(rng.choice([3.0, 30.0])))),
-        vertical_open=bool(rng.integers(2)),
         straight_points=int(rng.choice([1, 3, 6])),
         straight_extent_m=float(rng.choice([0.0, 0.25, 1.0, np.inf])),
         straight_m=float(rng.choice([0.0301, 0.1303])),
         straight_slope=float(np.tan(np.deg2rad(rng.choice([2.0, 30.0])))),
-        relief_m=float(rng.choice([0.0, 0.0301, 0.1303])),
         lean_noise_m=float(rng.choice([0.0, 0.0503])),
     )
 
@@ -158,42 +152,7 @@ def firm_case(rng: Generator) -> tuple[Any, ...]:
         surface,
         intervals(rng, surface),
         float(rng.choice([0.0, 0.25, 0.5, 1.0])),
-        int(rng.choice([0, 1, 4])),
     )
-
-
-def layer_case(rng: Generator) -> tuple[Any, ...]:
-    surface, n_beams = surfaces(rng, *size(rng))
-    layered = rng.choice([5.0, 5.25, 5.5, 6.0, 9.0], surface.shape) + rng.choice(
-        [0.0, 0.0, 0.25], surface.shape
-    )
-    horizontal = np.where(surface == MISSING, np.nan, layered).astype(np.float32)
-    thresholds = WindowThresholds(
-        width_m=float(rng.choice([0.0, 0.25, 0.5])),
-        share=float(rng.choice([0.25, 0.5, 0.75, 1.0])),
-        min_points=int(rng.choice([1, 4])),
-    )
-    return surface, horizontal, n_beams, thresholds
-
-
-def wall_case(rng: Generator) -> tuple[Any, ...]:
-    surface, n_beams = surfaces(rng, *size(rng))
-    surface[(surface == H) & (rng.random(surface.shape) < 0.5)] = DENSE
-    _, xyz, _ = geometry(rng, surface)
-    horizontal = rng.choice([5.0, 5.0, 5.25, 6.0, 4.75, 4.5], surface.shape)
-    stay = rng.random(surface.shape) < 0.7
-    for k in range(1, surface.shape[1]):
-        horizontal[:, k] = np.where(stay[:, k], horizontal[:, k - 1], horizontal[:, k])
-    thresholds = WindowThresholds(
-        wall_extent_m=float(rng.choice([0.0, 0.25, 1.0])),
-        break_m=float(rng.choice([0.0, 0.25, 1.0])),
-        straight_m=float(rng.choice([0.0301, 0.1303])),
-        slope=float(np.tan(np.deg2rad(rng.choice([2.0, 30.0])))),
-        wall_m=float(rng.choice([0.0, 0.125, 0.25])),
-        front_m=float(rng.choice([0.0, 0.25])),
-    )
-    horizontal[surface == MISSING] = np.nan
-    return surface, xyz, horizontal.astype(np.float32), n_beams, thresholds
 
 
 def high_case(rng: Generator) -> tuple[Any, ...]:
@@ -225,7 +184,6 @@ def spectrum_case(rng: Generator) -> tuple[Any, ...]:
     thresholds = FourierThresholds(
         band=float(rng.choice([0.125, 0.25, 0.01, 0.45])),
         ratio=float(rng.choice([0.5, 0.25, 0.9])),
-        min_points=int(rng.choice([0, 1, 8])),
         window=int(rng.choice([8, 64, 2048])),
         longest=int(rng.choice([0, 20, 33])),
     )
@@ -246,12 +204,11 @@ def car_case(rng: Generator) -> tuple[Any, ...]:
 
 def class_case(rng: Generator) -> tuple[Any, ...]:
     surface, _ = surfaces(rng, *size(rng))
-    _, xyz, horizontal = geometry(rng, surface)
+    _, _, horizontal = geometry(rng, surface)
     ground, car, curb = (rng.random(surface.shape) < shares(rng) for _ in range(3))
     car &= surface != MISSING
-    below = float(rng.choice([0.0, 0.25, np.inf]))
     codes = np.array([0, 5, 7, 8, 1], np.uint8)
-    return surface, ground, car, horizontal, xyz, curb & (surface != MISSING), codes, below
+    return surface, ground, car, horizontal, curb & (surface != MISSING), codes
 
 
 def beyond_case(rng: Generator) -> tuple[Any, ...]:
@@ -261,7 +218,6 @@ def beyond_case(rng: Generator) -> tuple[Any, ...]:
 
 
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
-    "behind_walls": wall_case,
     "car_intervals": interval_case,
     "combine_classes": class_case,
     "cut_verticals": cut_case,
@@ -271,7 +227,6 @@ CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     "mark_beyond": beyond_case,
     "mark_cars": car_case,
     "stable_intervals": spectrum_case,
-    "upright_layers": layer_case,
 }
 
 TOLERANCES: dict[str, float] = {}

@@ -30,14 +30,7 @@ def heights(rng: Generator, n: int) -> Any:
 
 
 def height_case(rng: Generator) -> tuple[Any, ...]:
-    roof_m = float(rng.choice([0.3, 0.6, np.inf]))
-    roof_share = float(rng.choice([0.1, 0.5, 1.0]))
-    return (
-        heights(rng, int(rng.choice([0, 1, 2, 7, 60]))),
-        float(rng.choice([0.05, 0.0, 0.5])),
-        roof_m,
-        roof_share,
-    )
+    return heights(rng, int(rng.choice([0, 1, 2, 7, 60]))), float(rng.choice([0.05, 0.0, 0.5]))
 
 
 def rows(rng: Generator) -> tuple[Any, ...]:
@@ -70,29 +63,17 @@ def rows(rng: Generator) -> tuple[Any, ...]:
         ahead[row, valid[:-1]] = valid[1:]
     phihat[(surface != 2) | (ahead < 0) | (rng.random(shape) < rng.choice([0.0, 0.3]))] = np.nan
     n_beams = rng.integers(max(n - 3, 1), n + 1, n_rows).astype(np.int32)
-    first_run = int(rng.choice([3, 4, 10]))
-    thresholds = (
-        GroundThresholds()
-        .at_noise(float(rng.choice([0.0, 0.001, 0.005])))
-        ._replace(
-            first_run=first_run,
-            lowest_points=int(rng.choice([1, 5])),
-            height_points=int(rng.choice([0, 5, 12])),
-            mode_samples=int(rng.choice([2, 3])),
-            bandwidth_deg=float(rng.choice([5.0, 2.0])),
-            growth_points=int(rng.choice([2, 10])),
-            jump_m=float(rng.choice([0.1, 0.03, 100.0])),
-            growth_height_m=float(rng.choice([0.1, 0.01])),
-            bridge=int(rng.choice([0, 1, 4])),
-            bridge_height_m=float(rng.choice([0.05, 0.01, 100.0])),
-            resume=bool(rng.random() < 0.7),
-            start_heights=int(rng.choice([0, 5, 50])),
-            least_heights=int(rng.choice([1, 3])),
-            renew_every=bool(rng.random() < 0.5),
-            height_tolerance=float(rng.choice([0.1, 0.05])),
-            height_tolerance_m=float(rng.choice([0.0, 0.125])),
-            follow_m=float(rng.choice([0.0, 0.0625, 0.25])),
-        )
+    thresholds = GroundThresholds()._replace(
+        range_noise_m=float(rng.choice([0.0, 0.001, 0.005])),
+        first_run=int(rng.choice([3, 4, 10])),
+        lowest_points=int(rng.choice([1, 5])),
+        height_points=int(rng.choice([0, 5, 12])),
+        mode_samples=int(rng.choice([2, 3])),
+        bandwidth_deg=float(rng.choice([5.0, 2.0])),
+        growth_points=int(rng.choice([2, 10])),
+        growth_height_m=float(rng.choice([0.1, 0.01])),
+        start_heights=int(rng.choice([0, 5, 50])),
+        height_tolerance=float(rng.choice([0.1, 0.05])),
     )
     horizontal = np.hypot(xyz[..., 0], xyz[..., 1])
     return surface, xyz, horizontal, phihat, ahead, n_beams, thresholds
@@ -101,11 +82,8 @@ def rows(rng: Generator) -> tuple[Any, ...]:
 def ground_case(rng: Generator) -> tuple[Any, ...]:
     *row, thresholds = rows(rng)
     known = [to_bin(z) for z in heights(rng, int(rng.choice([0, 3, 20])))]
-    thresholds = thresholds._replace(memory_heights=int(rng.choice([0, max(len(known), 1), 30])))
-    recent = np.array(known if thresholds.memory_heights else [], np.int32)
     z_g = float(rng.choice([-1.8, -1.8, np.nan, -1.62, 0.0]))
-    side_m = rng.choice([np.nan, -1.8, -1.5, -2.0], int(rng.choice([1, 2])))
-    state = GroundState(histogram_of(known), recent, z_g, int(rng.integers(0, 3)), side_m)
+    state = GroundState(histogram_of(known), z_g, int(rng.integers(0, 3)))
     return *row, potential_heights(*row, thresholds), state, thresholds
 
 

@@ -32,12 +32,11 @@ class SignedAngles:
 def signed_angles(lines: VerticalLines, thresholds: ChordThresholds) -> SignedAngles:
     """Measure the signed angle of every shot.
 
-    The chord of a shot goes to the first later valid shot at least ``least_chord_m`` away; range
-    differences within the noise do not count towards that distance. Missing shots in between are
-    bridged, as crowns are full of gaps. The chord before a shot comes from the last earlier valid
-    shot at that distance. Where the two chords point against each other the angle is negative;
-    without a chord before, as at the start of a line, it is positive. Shots at the same place never
-    make a chord.
+    The chord of a shot goes to the first later valid shot at least ``least_chord_m`` away.
+    Missing shots in between are bridged, as crowns are full of gaps. The chord before a shot comes
+    from the last earlier valid shot at that distance. Where the two chords point against each other
+    the angle is negative; without a chord before, as at the start of a line, it is positive. Shots
+    at the same place never make a chord.
 
     Two shots on the ground, then up a wall; the last one begins no chord:
 

@@ -113,24 +113,8 @@ def _directions(up: F64, along: F64, m: int) -> None:
         up[i] = math.pi - angle if x < 0.0 else angle
 
 
-@helper
-def _without_noise(
-    square: float,
-    range_m: float,
-    other_m: float,
-    depth_m: float,
-) -> float:
-    """Return the squared length of a chord, less the depth that may be range noise [m2]."""
-    if depth_m == 0.0:
-        return square
-    depth = abs(other_m - range_m)
-    beyond = max(depth - depth_m, 0.0)
-    return square - depth * depth + beyond * beyond
-
-
 @inlined
 def _first_far(
-    r: F64,
     x: F64,
     y: F64,
     z: F64,
@@ -139,7 +123,6 @@ def _first_far(
     end: int,
     step: int,
     least: float,
-    depth_m: float,
 ) -> int:
     """Return the first shot from ``begin`` on that makes a chord with shot i, -1 = none.
 
@@ -150,7 +133,7 @@ def _first_far(
         dy = y[j] - y[i]
         dz = z[j] - z[i]
         square = dx * dx + dy * dy + dz * dz
-        if square > 0.0 and _without_noise(square, r[i], r[j], depth_m) >= least:
+        if square > 0.0 and square >= least:
             return j
     return -1
 
@@ -171,9 +154,7 @@ def signed_angles(
     signed_deg = np.full((n_rows, n), np.nan, np.float32)
     ahead = np.full((n_rows, n), -1, np.int32)
     least = thresholds.least_chord_m * thresholds.least_chord_m
-    depth_m = thresholds.depth_m
     reach = thresholds.max_shots
-    r = np.empty(n, np.float64)
     x = np.empty(n, np.float64)
     y = np.empty(n, np.float64)
     z = np.empty(n, np.float64)
@@ -185,7 +166,6 @@ def signed_angles(
     for row in range(n_rows):
         m = n_chords = int(np.int64(0))
         for k in range(min(np.int64(n_beams[row]), n)):
-            r[m] = range_m[row, k]
             x[m] = xyz_m[row, k, 0]
             y[m] = xyz_m[row, k, 1]
             z[m] = xyz_m[row, k, 2]
@@ -194,14 +174,14 @@ def signed_angles(
         end = int(np.int64(-1))
         for i in range(m):
             follows = end == i
-            end = _first_far(r, x, y, z, i, i + 1, min(i + 1 + reach, m), 1, least, depth_m)
+            end = _first_far(x, y, z, i, i + 1, min(i + 1 + reach, m), 1, least)
             if end < 0:
                 continue
             # the chord before is the one from the last shot where that ends here
             back = (
                 i - 1
                 if follows
-                else _first_far(r, x, y, z, i, i - 1, max(i - 1 - reach, -1), -1, least, depth_m)
+                else _first_far(x, y, z, i, i - 1, max(i - 1 - reach, -1), -1, least)
             )
             dx = x[end] - x[i]
             dy = y[end] - y[i]

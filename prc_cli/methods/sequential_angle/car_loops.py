@@ -24,7 +24,6 @@ from prc_cli.core.types import (
     I32_2,
     U8,
     U8_2,
-    Mask,
     Mask_1,
 )
 from prc_cli.methods.sequential_angle.thresholds import DividerThresholds, FourierThresholds
@@ -131,7 +130,7 @@ def stable_intervals(signed_deg: F32_2, intervals: I32_2, thresholds: FourierThr
             if value == value:
                 values[n] = value
                 n += 1
-        if n < thresholds.min_points or n == 0:
+        if n == 0:
             continue
         if thresholds.longest > 0 and n > thresholds.longest:
             stable[i] = True
@@ -159,35 +158,6 @@ _BACK_M = 1.0
 """A point no farther than this behind the point before a jump is on the same object [m] ..."""
 _WINDOW_M = 0.8
 """... if it is no higher above it than the window of a car [m]."""
-_STEP_M = 0.1
-"""The reliefs of walls are no deeper from one return to the next [m]."""
-_SILL_M = 0.6
-"""The windows of cars start higher above the ground than this [m]."""
-
-
-@helper
-def _behind_glass(
-    surface: U8,
-    range_m: F32,
-    xyz_m: F32,
-    horizontal_m: F32,
-    row: int,
-    k: int,
-    n: int,
-    limit_m: float,
-    most_m: float,
-) -> int:
-    """Return the first beam behind T' that is seen through a window; -1 = it is no window.
-
-    Behind a window, the next return is near again and not T'.
-    """
-    while k < n and (range_m[row, k] != range_m[row, k] or surface[row, k] == _VEGETATION):
-        if xyz_m[row, k, 2] > limit_m:
-            return -1
-        k += 1
-    if k == n or (surface[row, k] != _HORIZONTAL and surface[row, k] != _VERTICAL):
-        return -1
-    return k if xyz_m[row, k, 2] <= limit_m and np.float64(horizontal_m[row, k]) <= most_m else -1
 
 
 @helper
@@ -198,19 +168,15 @@ def _top_of_van(
     row: int,
     k: int,
     n: int,
-    distance_before_m: float,
-    break_m: float,
     most_m: float,
 ) -> int:
     """Return the beam after the vertical run that beam ``k`` continues; -1 = it ends too high."""
     while k < n:
-        distance_m = np.float64(horizontal_m[row, k])
-        if distance_m == distance_m:
-            if surface[row, k] != _VERTICAL or abs(distance_m - distance_before_m) > break_m:
+        if horizontal_m[row, k] == horizontal_m[row, k]:
+            if surface[row, k] != _VERTICAL:
                 return k
             if xyz_m[row, k, 2] > most_m:
                 return -1
-            distance_before_m = distance_m
         elif k + 1 == n:
             return n
         k += 1
@@ -232,32 +198,18 @@ def _gather_returns(
 ) -> tuple[int, int]:
     """List the returns of a row up to the first one that is neither H nor V, or too high.
 
-    T' in windows is left out. Returns the number of returns, and the index of the first vertical
-    one after a horizontal one. With ``from_start`` the first return of the row may be it too.
+    Returns the number of returns, and the index of the first vertical one after a horizontal one.
+    With ``from_start`` the first return of the row may be it too.
     """
     size = ZERO
     first = NONE
     code_before = _VERTICAL
-    skipped = van = ZERO
+    van = ZERO
     limit_m = ground_m + thresholds.height_m
-    sill_m = ground_m + _SILL_M
-    glass_m = thresholds.glass_m
     for k in range(n):
-        if k < skipped or range_m[row, k] != range_m[row, k]:
+        if range_m[row, k] != range_m[row, k]:
             continue
         code_here = surface[row, k]
-        if (
-            code_here == _VEGETATION
-            and first >= 0
-            and glass_m > 0.0
-            and xyz_m[row, beam[size - 1], 2] >= sill_m
-        ):
-            most_m = np.float64(horizontal_m[row, beam[size - 1]]) + glass_m
-            skipped = _behind_glass(
-                surface, range_m, xyz_m, horizontal_m, row, k, n, limit_m, most_m
-            )
-            if skipped > k:
-                continue
         if code_here != _HORIZONTAL and code_here != _VERTICAL:
             break
         if xyz_m[row, k, 2] > limit_m and k >= van:
@@ -269,8 +221,6 @@ def _gather_returns(
                     row,
                     k,
                     n,
-                    np.float64(horizontal_m[row, beam[size - 1]]),
-                    thresholds.vertical_break_m,
                     ground_m + thresholds.tall_m,
                 )
             if k >= van:
@@ -433,8 +383,6 @@ def _first_flat(
 ) -> tuple[int, int]:
     """Find the first long flat stretch of an interval in one horizontal run; (-1, -1) = none."""
     i = begin
-    lowest = np.inf
-    done = begin
     while i <= end:
         first = i
         while i <= end and code[i] == _HORIZONTAL:
@@ -443,10 +391,7 @@ def _first_flat(
                 break
         if i > first:
             stretch = _flat_stretch(points, first, i - 1, thresholds, sums, farthest)
-            while done < stretch[0]:
-                lowest = min(lowest, points[done, _Z])
-                done += 1
-            if stretch[0] >= 0 and not points[stretch[0], _Z] - lowest > thresholds.flat_above_m:
+            if stretch[0] >= 0:
                 return stretch
         if i == first or code[i - 1] != _HORIZONTAL or i > end or code[i] != _HORIZONTAL:
             i += 1
@@ -661,9 +606,7 @@ def _vertical_run(
     Returns the beam after it, its last return within the interval, and whether it is a wall, which
     is cut out.
     """
-    distance_before_m = horizontal_m[row, k]
     last = k
-    last_return = k
     is_wall = False
     n_points = ZERO
     lowest = np.inf
@@ -671,29 +614,16 @@ def _vertical_run(
     top_m = ground_m + thresholds.vertical_top_m
     j = k
     while j < n and (j < stop or not is_wall):
-        distance_m = horizontal_m[row, j]
-        if distance_m == distance_m:
-            if (
-                surface[row, j] != _VERTICAL
-                or abs(np.float64(distance_m) - np.float64(distance_before_m))
-                > thresholds.vertical_break_m
-            ):
+        if horizontal_m[row, j] == horizontal_m[row, j]:
+            if surface[row, j] != _VERTICAL:
                 break
             height = np.float64(xyz_m[row, j, 2])
             n_points += 1
             lowest = min(lowest, height)
             highest = max(highest, height)
             is_wall = highest - lowest >= thresholds.vertical_extent_m and not highest <= top_m
-            distance_before_m = distance_m
-            last_return = j
             last = j if j < stop else last
         j += 1
-    if (
-        thresholds.vertical_open
-        and last_return == n - 1
-        and highest - lowest >= thresholds.vertical_extent_m
-    ):
-        return j, last, True
     if not is_wall and highest - lowest >= thresholds.straight_extent_m and highest > lowest:
         # a run above the side of a car need not be straight, nor upright if its points are few
         high = highest - lowest >= thresholds.vertical_extent_m
@@ -705,77 +635,6 @@ def _vertical_run(
             xyz_m, horizontal_m, row, k, j, residual_m, slope, noise_m
         )
     return j, last, is_wall
-
-
-@helper
-def _next_on_wall(
-    surface: U8,
-    horizontal_m: F32,
-    row: int,
-    k: int,
-    n: int,
-    distance_before_m: float,
-    reach: int,
-) -> int:
-    """Return the next beam on a wall, behind at most ``reach`` returns through it, or n."""
-    through = 0
-    while k < n and through <= reach:
-        distance_m = np.float64(horizontal_m[row, k])
-        solid = surface[row, k] == _HORIZONTAL or surface[row, k] == _VERTICAL
-        if solid and abs(distance_m - distance_before_m) <= _STEP_M:
-            return k
-        through += distance_m == distance_m
-        k += 1
-    return n
-
-
-@helper
-def _mark_reliefs(
-    surface: U8,
-    xyz_m: F32,
-    horizontal_m: F32,
-    row: int,
-    first: int,
-    stop: int,
-    n: int,
-    thresholds: DividerThresholds,
-    is_cut: Mask,
-) -> None:
-    """Mark the rough walls of an interval: high, upright, nearly straight runs of H and V."""
-    begin = first
-    while begin < stop:
-        if surface[row, begin] != _HORIZONTAL and surface[row, begin] != _VERTICAL:
-            begin += 1
-            continue
-        z_0 = np.float64(xyz_m[row, begin, 2])
-        h_0 = np.float64(horizontal_m[row, begin])
-        sums = np.zeros(5, np.float64)
-        lowest = highest = 0.0
-        last = begin
-        n_points = ZERO
-        j = begin
-        while j < n:
-            height = np.float64(xyz_m[row, j, 2]) - z_0
-            distance_m = np.float64(horizontal_m[row, j])
-            _add_to_sums(sums, height, distance_m - h_0)
-            lowest = min(lowest, height)
-            highest = max(highest, height)
-            n_points += 1
-            last = j
-            j = _next_on_wall(
-                surface, horizontal_m, row, j + 1, n, distance_m, thresholds.return_points
-            )
-        high = (
-            n_points >= thresholds.straight_points
-            and highest - lowest >= thresholds.vertical_extent_m
-        )
-        if high and highest > lowest:
-            slope = thresholds.straight_slope
-            noise_m = thresholds.lean_noise_m
-            if _is_upright(sums, n_points, thresholds.relief_m, slope, noise_m):
-                for k in range(begin, min(last + 1, stop)):
-                    is_cut[k] = True
-        begin = last + 1
 
 
 @loop("prc_cli.reference.sequential_angle.car")
@@ -809,8 +668,6 @@ def cut_verticals(
         n = n_beams[row]
         for k in range(first, stop):
             is_cut[k] = False
-        if thresholds.relief_m > 0.0:
-            _mark_reliefs(surface, xyz_m, horizontal_m, row, first, stop, n, thresholds, is_cut)
         k = first
         while k < stop:
             if horizontal_m[row, k] != horizontal_m[row, k] or surface[row, k] != _VERTICAL:
@@ -847,13 +704,8 @@ def cut_verticals(
 
 
 @loop("prc_cli.reference.sequential_angle.car")
-def firm_intervals(
-    surface: U8_2,
-    intervals: I32_2,
-    most: float,
-    least: int,
-) -> Mask_1:
-    """Mark intervals of at least ``least`` returns with a share of vegetation of at most ``most``.
+def firm_intervals(surface: U8_2, intervals: I32_2, most: float) -> Mask_1:
+    """Mark intervals with a share of vegetation of at most ``most``.
 
     ``surface`` (R, n) uint8; ``intervals`` (K, 3) int32; returns (K,) bool.
     """
@@ -864,5 +716,5 @@ def firm_intervals(
         for k in range(intervals[i, 1], intervals[i, 2] + 1):
             n += codes[k] != _MISSING
             n_green += codes[k] == _VEGETATION
-        firm[i] = n >= least and np.float64(n_green) <= most * np.float64(n)
+        firm[i] = np.float64(n_green) <= most * np.float64(n)
     return firm

@@ -15,29 +15,23 @@ from __future__ import annotations
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, U8, Mask
 from prc_cli.methods.sequential_angle import coarse_loops
-from prc_cli.methods.sequential_angle.coarse_loops import behind_walls, upright_layers
 from prc_cli.methods.sequential_angle.lines import VerticalLines
 from prc_cli.methods.sequential_angle.thresholds import (
+    DENSE_VEGETATION,
     CoarseThresholds,
     MarkovThresholds,
     SurfaceThresholds,
-    WindowThresholds,
 )
 
 
 def hmm_cusum(values: F32, thresholds: MarkovThresholds) -> Mask:
     """Mark the samples of every row that belong to model 1.
 
-    Rows are independent. After an alarm the test continues at the next sample with the models
-    exchanged. When that raises an alarm, the region ends just before the onset of the change back,
-    and the search for the next region begins after that alarm: every sample is used once in either
-    direction. The end of a row closes an open region; with ``sprt``, an unconfirmed region at the
-    end of a row is dropped. A sample with zero probability in both models restarts the test.
-
-    After a reset the first sample depends only on the initial probabilities. With the stationary
-    probabilities of each model (Chen and Willett) it counts like any other; a change from 0 to 90
-    deg, as on stairs, then begins no region, but counts within one. With the same probabilities in
-    both models it is neutral.
+    Rows are independent. After an alarm, tests between two bounds on the samples behind it confirm
+    the region, until one rejects; the end is pulled back to the sample after the last negative
+    value (the group's script). An unconfirmed region at the end of a row is dropped. A sample with
+    zero probability in both models restarts the test. After a reset the first sample depends only
+    on the initial probabilities, which are the same in both models.
 
     ``values`` (R, n) float32, degrees; returns (R, n) bool.
 
@@ -55,7 +49,7 @@ def hmm_cusum(values: F32, thresholds: MarkovThresholds) -> Mask:
 
 
 @stage("dense vegetation")
-def dense_vegetation(differences_deg: F32, thresholds: MarkovThresholds) -> Mask:
+def dense_vegetation(differences_deg: F32, thresholds: MarkovThresholds = DENSE_VEGETATION) -> Mask:
     """Mark T', vegetation by the less sensitive test (Stamos et al. 2012, sec. 7.1).
 
     ``differences_deg`` (R, n) float32, degrees; returns (R, n) bool.
@@ -120,36 +114,3 @@ def surface_image(
     return coarse_loops.surface_image(
         signed_deg, vegetation, lines.range_m, lines.n_beams, thresholds
     )
-
-
-def without_windows(surface: U8, lines: VerticalLines, thresholds: WindowThresholds) -> U8:
-    """Make vegetation vertical in upright layers, in the plane of a wall, or behind one above it.
-
-    Not in the paper. Behind glass a shot returns from the pane, or from a curtain or wall some way
-    behind it, and neighbours differ: the signed angles alternate as in a crown. But in a vertical
-    line the pane is one horizontal distance, and what is behind it is another: two upright layers
-    hold the points. Foliage is spread over its depth.
-
-    ``surface`` (R, n) uint8; returns (R, n) uint8.
-
-    Panes and a wall behind them, then leaves:
-
-    >>> import numpy as np
-    >>> found = []
-    >>> for distance in (np.tile([9.0, 9.4], 5), np.linspace(9.0, 9.4, 10)):
-    ...     x, z = distance, np.linspace(1.0, 2.0, 10)
-    ...     xyz = np.stack([x, 0 * x, z], axis=-1)[None].astype(np.float32)
-    ...     beams = np.arctan2(x, -z)[None]
-    ...     n_beams, ranges = np.array([10], np.int32), np.linalg.norm(xyz, axis=-1)
-    ...     lines = VerticalLines(ranges, xyz, xyz[..., 0].copy(), n_beams, beams)
-    ...     leaves = np.ones((1, 10), np.uint8)
-    ...     found.append(without_windows(leaves, lines, WindowThresholds()))
-    >>> found
-    [array([[3, 3, 3, 3, 3, 3, 3, 3, 3, 3]], dtype=uint8),
-     array([[1, 1, 1, 1, 1, 1, 1, 1, 1, 1]], dtype=uint8)]
-    """
-    if thresholds.share < 1.0:
-        surface = upright_layers(surface, lines.horizontal_m, lines.n_beams, thresholds)
-    if thresholds.wall_extent_m > 0.0:
-        surface = behind_walls(surface, lines.xyz_m, lines.horizontal_m, lines.n_beams, thresholds)
-    return surface

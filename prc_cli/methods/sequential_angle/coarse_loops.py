@@ -1,4 +1,4 @@
-"""Loops of the coarse classification: vegetation, horizontal, vertical, windows.
+"""Loops of the coarse classification: vegetation, horizontal, vertical.
 
 Stamos et al. (2012), sec. 4.
 """
@@ -11,12 +11,8 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from prc_cli.core.loops import helper, inlined, loop
-from prc_cli.core.types import F32_2, F32_3, F64, I32, I32_1, I64, U8, U8_2, U32, Mask_2
-from prc_cli.methods.sequential_angle.thresholds import (
-    MarkovThresholds,
-    SurfaceThresholds,
-    WindowThresholds,
-)
+from prc_cli.core.types import F32_2, F64, I32_1, I64, U8, U8_2, U32, Mask_2
+from prc_cli.methods.sequential_angle.thresholds import MarkovThresholds, SurfaceThresholds
 
 _SMALL = 2.0**-500
 _LARGE = 2.0**500
@@ -43,9 +39,7 @@ class _Bounds(NamedTuple):
     """Bounds of the ratio of likelihoods: the exponentials of the thresholds."""
 
     upper: float
-    """A region starts above this ..."""
-    upper_back: float
-    """... and ends above this, with the models exchanged."""
+    """A region starts above this."""
     accept: float
     """A region is confirmed above this ..."""
     reject: float
@@ -216,34 +210,6 @@ def _sequential_test(
 @helper
 def _next_region(
     density: F64,
-    begin: int,
-    m: int,
-    h0: _Model,
-    h1: _Model,
-    bounds: _Bounds,
-) -> tuple[int, int, int]:
-    """Find the next region; it ends where the test with the models exchanged raises an alarm.
-
-    Returns its first and last sample (an empty stretch = no more region), and the sample to
-    continue with.
-    """
-    restart = bool(np.bool_(True))  # not a literal, for which the test would be compiled again
-    verdict, alarm, onset = _sequential_test(density, begin, m, h0, h1, 1.0, bounds.upper, restart)
-    if verdict == 0:
-        return 0, -1, m
-    first = onset if bounds.backdate else alarm
-    verdict, alarm, onset = _sequential_test(
-        density, alarm + 1, m, h1, h0, 1.0, bounds.upper_back, restart
-    )
-    last = m - 1
-    if verdict != 0:
-        last = (onset if bounds.backdate else alarm) - 1
-    return first, last, alarm + 1
-
-
-@helper
-def _next_confirmed(
-    density: F64,
     samples: F64,
     begin: int,
     m: int,
@@ -251,8 +217,12 @@ def _next_confirmed(
     h1: _Model,
     bounds: _Bounds,
 ) -> tuple[int, int, int]:
-    """Find the next region, confirmed and ended by tests of two bounds; as :func:`_next_region`."""
-    restart = bool(np.bool_(True))
+    """Find the next region, confirmed and ended by tests of two bounds.
+
+    Returns its first and last sample (an empty stretch = no more region), and the sample to
+    continue with.
+    """
+    restart = bool(np.bool_(True))  # not a literal, for which the test would be compiled again
     no_restart = bool(np.bool_(False))
     verdict, alarm, onset = _sequential_test(density, begin, m, h0, h1, 1.0, bounds.upper, restart)
     if verdict == 0:
@@ -293,7 +263,6 @@ def hmm_cusum(values: F32_2, thresholds: MarkovThresholds) -> Mask_2:
     log_sigma = np.log(sigmas)
     bounds = _Bounds(
         math.exp(thresholds.threshold),
-        math.exp(thresholds.threshold_back),
         math.exp(thresholds.accept),
         math.exp(thresholds.reject),
         thresholds.backdate,
@@ -314,13 +283,10 @@ def hmm_cusum(values: F32_2, thresholds: MarkovThresholds) -> Mask_2:
         _densities(samples, m, thresholds.means_deg, half_precision, log_sigma, density, power, top)
         previous = -1
         while begin < m:
-            if thresholds.sprt:
-                first, last, begin = _next_confirmed(density, samples, begin, m, h0, h1, bounds)
-                if previous >= 0 and first - previous - 1 < thresholds.merge_gap:
-                    first = min(first, previous + 1)
-                previous = max(last, previous)
-            else:
-                first, last, begin = _next_region(density, begin, m, h0, h1, bounds)
+            first, last, begin = _next_region(density, samples, begin, m, h0, h1, bounds)
+            if previous >= 0 and first - previous - 1 < thresholds.merge_gap:
+                first = min(first, previous + 1)
+            previous = max(last, previous)
             for i in range(first, last + 1):
                 marked[row, beam[i]] = True
     return marked
@@ -332,24 +298,6 @@ _HORIZONTAL = 2
 _VERTICAL = 3
 _UNDECIDED = 4
 """As :class:`prc_cli.core.classes.Surface` numbers them."""
-_MIDDLE = 45.0
-"""Half way between a vertical (0) and a horizontal (90) surface [deg]."""
-
-
-@helper
-def _first_label(tilt: F64, begin: int, end: int) -> int:
-    """Return the first label of a run: the one nearer to the median of its first five samples."""
-    n = min(end - begin, 5)
-    first = np.empty(5, np.float64)
-    for i in range(n):  # by hand: the library's sort takes seconds to compile
-        angle = tilt[begin + i]
-        j = i
-        while j > 0 and first[j - 1] > angle:
-            first[j] = first[j - 1]
-            j -= 1
-        first[j] = angle
-    median = (first[(n - 1) // 2] + first[n // 2]) / 2.0
-    return _VERTICAL if median < _MIDDLE else _HORIZONTAL
 
 
 @inlined
@@ -361,14 +309,10 @@ def _label_run(
     labels: U8,
     thresholds: SurfaceThresholds,
 ) -> None:
-    """Label the samples of a run by the CUSUM test for a change of their mean."""
-    label = _HORIZONTAL
-    if not thresholds.start_horizontal:
-        label = _first_label(tilt, int(np.int64(begin)), int(np.int64(end)))
+    """Label the samples of a run by the CUSUM test for a change of their mean; first horizontal."""
+    horizontal = True
     total = 0.0
-    onset = begin
     for i in range(begin, end):
-        horizontal = label == _HORIZONTAL
         if horizontal:
             total += thresholds.drift_vertical_deg - tilt[i]
             limit = thresholds.threshold_vertical_deg
@@ -376,15 +320,10 @@ def _label_run(
             total += tilt[i] - thresholds.drift_horizontal_deg
             limit = thresholds.threshold_horizontal_deg
         if total > limit:
-            label = _VERTICAL if horizontal else _HORIZONTAL
-            if thresholds.backdate:
-                for j in range(onset, i):
-                    labels[beam[j]] = label
+            horizontal = not horizontal
             total = 0.0
-        if total <= 0.0:
-            total = 0.0
-            onset = i + np.uint64(1)
-        labels[beam[i]] = label
+        total = max(total, 0.0)
+        labels[beam[i]] = _HORIZONTAL if horizontal else _VERTICAL
 
 
 @loop("prc_cli.reference.sequential_angle.coarse")
@@ -411,8 +350,7 @@ def surface_image(
         m = np.uint64(0)
         for k in range(width):
             beam[m] = k
-            angle = abs(np.float64(signed_deg[row, k]))
-            tilt[m] = min(angle, 180.0 - angle) if thresholds.fold else angle
+            tilt[m] = abs(np.float64(signed_deg[row, k]))
             grown[m] = vegetation[row, k]
             m += np.uint64(not math.isnan(signed_deg[row, k]))
         begin = np.uint64(0)
@@ -433,247 +371,4 @@ def surface_image(
             code = int(labels[k])
             label = label if code == _MISSING else code
             labels[k] = _MISSING if code == _MISSING and math.isnan(range_m[row, k]) else label
-    return image
-
-
-@helper
-def _sort(values: F64, n: int) -> None:
-    """Sort the first n values; by hand: the library's sort takes seconds to compile."""
-    gap = 1
-    while 3 * gap + 1 < n:
-        gap = 3 * gap + 1
-    while gap > 0:
-        for i in range(gap, n):
-            value = values[i]
-            j = i
-            while j >= gap and values[j - gap] > value:
-                values[j] = values[j - gap]
-                j -= gap
-            values[j] = value
-        gap //= 3
-
-
-@helper
-def _fullest(
-    values: F64,
-    begin: int,
-    end: int,
-    width: float,
-) -> tuple[int, int]:
-    """Return the largest number of sorted values within a width, and the first of them."""
-    most = first = stop = ZERO
-    stop = begin
-    for i in range(begin, end):
-        while stop < end and values[stop] - values[i] <= width:
-            stop += 1
-        if stop - i > most:
-            most = stop - i
-            first = i
-    return most, first
-
-
-_BINS = 256
-
-
-@helper
-def _may_be_layered(
-    values: F64,
-    m: int,
-    width: float,
-    share: float,
-    bins: I32,
-) -> bool:
-    """Whether two layers may contain a share of the values: so most foliage need not be sorted.
-
-    A layer is in two neighbouring bins at most, so two layers have no more values than the four
-    fullest bins.
-    """
-    if width <= 0.0:
-        return True
-    for i in range(_BINS):
-        bins[i] = 0
-    per_m = 1.0 / (1.01 * width)
-    for i in range(m):
-        bins[int(values[i] * per_m) & (_BINS - 1)] += 1
-    inside = 0
-    for _ in range(4):
-        fullest = 0
-        for i in range(1, _BINS):
-            if bins[i] > bins[fullest]:
-                fullest = i
-        inside += bins[fullest]
-        bins[fullest] = 0
-    return bool(np.float64(inside) > share * np.float64(m))
-
-
-@helper
-def _label_if_layered(
-    labels: U8,
-    values: F64,
-    beam: I32,
-    m: int,
-    thresholds: WindowThresholds,
-    bins: I32,
-) -> None:
-
-    if m < thresholds.min_points or not _may_be_layered(
-        values, m, thresholds.width_m, thresholds.share, bins
-    ):
-        return
-    _sort(values, m)
-    most, first = _fullest(values, 0, m, thresholds.width_m)
-    below, _ = _fullest(values, 0, first, thresholds.width_m)
-    above, _ = _fullest(values, first + most, m, thresholds.width_m)
-    inside = most + max(below, above)
-    if np.float64(inside) > thresholds.share * np.float64(m):
-        for i in range(m):
-            labels[beam[i]] = _VERTICAL
-
-
-@loop("prc_cli.reference.sequential_angle.coarse")
-def upright_layers(
-    surface: U8_2,
-    horizontal_m: F32_2,
-    n_beams: I32_1,
-    thresholds: WindowThresholds,
-) -> U8_2:
-    """Make runs of vegetation vertical whose points lie in two upright layers.
-
-    ``surface`` (R, n) uint8; ``horizontal_m`` (R, n) float32, metres; ``n_beams`` (R,) int32;
-    returns (R, n) uint8.
-    """
-    n_rows, n = surface.shape
-    image = np.empty((n_rows, n), np.uint8)
-    values = np.empty(n, np.float64)
-    beam = np.empty(n, np.int32)
-    bins = np.empty(_BINS, np.int32)
-    for row in range(n_rows):
-        codes = surface[row]
-        m = ZERO
-        width = np.int64(n_beams[row])
-        for k in range(n):
-            image[row, k] = codes[k]
-            if k < width and codes[k] == _VEGETATION:
-                values[m] = horizontal_m[row, k]
-                beam[m] = k
-                m += 1
-            elif m > 0 and (k >= width or codes[k] != _MISSING):
-                _label_if_layered(image[row], values, beam, m, thresholds, bins)
-                m = ZERO
-        if m > 0:
-            _label_if_layered(image[row], values, beam, m, thresholds, bins)
-    return image
-
-
-@helper
-def _is_wall(
-    x: F64,
-    z: F64,
-    begin: int,
-    end: int,
-    thresholds: WindowThresholds,
-) -> bool:
-
-    lowest = highest = z[begin]
-    sum_z = sum_x = sum_zz = sum_zx = sum_xx = 0.0
-    for i in range(begin, end):
-        lowest = min(lowest, z[i])
-        highest = max(highest, z[i])
-        up = z[i] - z[begin]
-        away = x[i] - x[begin]
-        sum_z += up
-        sum_x += away
-        sum_zz += up * up
-        sum_zx += up * away
-        sum_xx += away * away
-    if highest - lowest < thresholds.wall_extent_m or highest == lowest:
-        return False
-    n = end - begin
-    mean_z = sum_z / n
-    mean_x = sum_x / n
-    zz = sum_zz / n - mean_z * mean_z
-    zx = sum_zx / n - mean_z * mean_x
-    xx = sum_xx / n - mean_x * mean_x
-    near = xx - zx * zx / zz <= thresholds.straight_m * thresholds.straight_m
-    return bool(near and abs(zx) <= thresholds.slope * zz)
-
-
-@helper
-def _find_walls(
-    x: F64,
-    z: F64,
-    code: U8,
-    m: int,
-    thresholds: WindowThresholds,
-    first: I32,
-    place: F64,
-) -> int:
-    """List first return and horizontal distance of the walls of a row; return their number."""
-    n_walls = i = ZERO
-    while i < m:
-        begin = i
-        i += 1
-        if code[begin] != _VERTICAL:
-            continue
-        nearest = farthest = x[begin]
-        while i < m and code[i] == _VERTICAL and abs(x[i] - x[i - 1]) <= thresholds.break_m:
-            nearest = min(nearest, x[i])
-            farthest = max(farthest, x[i])
-            i += 1
-        if _is_wall(x, z, begin, i, thresholds):
-            first[n_walls] = begin
-            place[n_walls] = 0.5 * (nearest + farthest)
-            n_walls += 1
-    return n_walls
-
-
-@loop("prc_cli.reference.sequential_angle.coarse")
-def behind_walls(
-    surface: U8_2,
-    xyz_m: F32_3,
-    horizontal_m: F32_2,
-    n_beams: I32_1,
-    thresholds: WindowThresholds,
-) -> U8_2:
-    """Make vegetation vertical in the plane of a wall of its row, or behind a wall above it.
-
-    ``surface`` (R, n) uint8; ``xyz_m`` (R, n, 3) float32, metres; ``horizontal_m`` (R, n) float32,
-    metres; ``n_beams`` (R,) int32; returns (R, n) uint8.
-    """
-    n_rows, n = surface.shape
-    image = np.empty((n_rows, n), np.uint8)
-    x = np.empty(n, np.float64)
-    z = np.empty(n, np.float64)
-    code = np.empty(n, np.uint8)
-    beam = np.empty(n, np.int32)
-    first = np.empty(n, np.int32)
-    place = np.empty(n, np.float64)
-    for row in range(n_rows):
-        m = n_green = ZERO
-        width = np.int64(n_beams[row])
-        for k in range(n):
-            code_here = surface[row, k]
-            image[row, k] = code_here
-            if k < width and code_here != _MISSING:
-                x[m] = horizontal_m[row, k]
-                z[m] = xyz_m[row, k, 2]
-                beam[m] = k
-                code[m] = code_here
-                n_green += code_here == _VEGETATION
-                m += 1
-        if n_green == 0:
-            continue
-        n_walls = _find_walls(x, z, code, m, thresholds, first, place)
-        if n_walls == 0:
-            continue
-        for i in range(m):
-            if code[i] != _VEGETATION:
-                continue
-            for wall in range(n_walls):
-                away = x[i] - place[wall]
-                if abs(away) <= thresholds.wall_m or (
-                    first[wall] > i and away >= -thresholds.front_m
-                ):
-                    image[row, beam[i]] = _VERTICAL
-                    break
     return image

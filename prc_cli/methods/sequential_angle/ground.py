@@ -17,26 +17,10 @@ Interpretations of passages that are silent or ambiguous:
 - "Almost collinear" has a limit in height as well as in angle, since the line angle measures slope
   and not height: without it, ground would climb a curb that is visible in one shot only. The local
   line is level if its points span less than that limit, because a fitted slope would be noise.
-- For the same reason a jump in height ends potential ground: a hedge top or a car roof in front of
-  the road has the line angle of the road, and only one angle at its edge differs.
-- Near the scanner neighbouring shots are closer than their noise, and a few angles of ten points
-  can end the set early. To keep the remaining road, the search resumes within the same run of
-  horizontal points.
-- The height of a row is the height of its points next to the scanner: on a slope the lowest points
-  would be at the far end, metres below.
-- One or two noisy shots must not end the ground of a line. A few points that are neither horizontal
-  nor missing are skipped if the next horizontal ones continue the local line within less than the
-  height of a curb.
-- For the same reason the local line accepts ground later in a row, not the height of its points.
-- If the ground leans, one height is not valid all around the scanner. Potential ground at the
-  height of the last ground of its side is ground too. There is still one dominant height, since
-  cars are recognised better with it.
-- The dominant height is the main mode of the heights of all rows, accepted or not, and is
-  recomputed after each of them (an option): with accepted rows only, a wrong first estimate would
-  never be corrected. The oldest heights are dropped, so that it follows a long street.
-- A row without accepted ground contributes the height of its first potential ground, the nearest to
-  the scanner.
-- The ground stays unknown while only a few of many rows have a height.
+- The height of a row is the height of its points next to the scanner (``height_points``): on a
+  slope the lowest points would be at the far end, metres below.
+- The dominant height is the main mode of the heights of all rows. A row without accepted ground
+  contributes the height of its first potential ground, the nearest to the scanner.
 - If the first estimate was made from fewer heights than wanted, the next heights count as they
   come, and the dominant height follows at once.
 """
@@ -73,7 +57,7 @@ def potential_ground(
     )
 
 
-def initial_ground(heights_m: F64, thresholds: GroundThresholds, n_sides: int = 1) -> GroundState:
+def initial_ground(heights_m: F64, thresholds: GroundThresholds) -> GroundState:
     """Estimate the height of the ground from the first rows of a stream (part b, first half).
 
     ``heights_m`` (R,) float64.
@@ -84,18 +68,8 @@ def initial_ground(heights_m: F64, thresholds: GroundThresholds, n_sides: int = 
     """
     rows = np.flatnonzero(~np.isnan(heights_m))[: thresholds.start_heights]
     n_rows = int(rows[-1]) + 1 if len(rows) == thresholds.start_heights else len(heights_m)
-    _, z_g, bins, histogram = main_height(
-        heights_m[rows], thresholds.height_bandwidth, thresholds.roof_m, thresholds.roof_share
-    )
-    if len(rows) < min(thresholds.least_heights, (len(heights_m) + 1) // 2):
-        z_g = float("nan")
-    return GroundState(
-        histogram,
-        bins if thresholds.memory_heights else bins[:0],
-        z_g,
-        n_rows,
-        np.full(n_sides, np.nan),
-    )
+    z_g, histogram = main_height(heights_m[rows], thresholds.height_bandwidth)
+    return GroundState(histogram, z_g, n_rows)
 
 
 def ground(

@@ -1,11 +1,10 @@
 """Loops for the ground within a row and its height across rows (Stamos et al. 2012, sec. 5).
 
 After every point the ground algorithm needs to know whether the line angles so far have one mode.
-Mean shift from every sample would make that cubic in the points of a row. Here samples fall into
-bins of an eighth of a bandwidth. The density of a bin is a sum of integers from one table, and
-adding a sample needs additions only. They are exact in any order, so the density is always that of
-all samples together. Its maxima are the points where mean shift ends, and the minima between them
-separate the samples of the modes.
+Samples fall into bins of an eighth of a bandwidth, and the density of a bin is a sum of integers
+from one table. Its maxima are the points where mean shift ends, and the minima between them
+separate the samples of the modes. Integers are exact in any order: a sample is added by additions,
+and the density is always that of all samples together.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ import math
 from typing import NamedTuple, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import (
@@ -46,12 +44,6 @@ WEIGHT = np.rint(2.0**20 * np.exp(-0.5 * (np.arange(-HALF, HALF + 2) / PER_BANDW
     np.int64
 )
 """Gaussian kernel in whole numbers, one entry a bin, and a zero at the end."""
-CLEAR = 2 * PER_BANDWIDTH - 1
-"""Samples that span at most this many bins have one mode.
-
-Means within two standard deviations give a density whose logarithm is concave, since the variance
-of samples in an interval is at most the square of half its length.
-"""
 LARGEST_DEG = 360.0
 """Line angles lie between 0 and this."""
 LOWEST_M = -310.0
@@ -60,37 +52,12 @@ PER_METRE = 500
 """Its bins in a metre, 2 mm each."""
 N_HEIGHTS = 370 * PER_METRE
 """Its bins, up to 60 m above the scanner."""
-BEHIND = 2
-"""Horizontal points behind a gap in a surface that have to continue its line."""
 ZERO = cast("int", np.int64(0))
 NONE = cast("int", np.int64(-1))
 """Integers that numba does not treat as literals: it would compile helpers again for a literal."""
 
 _HORIZONTAL = 2
 _MISSING = 0
-
-_FIGURES = np.dtype(
-    [
-        (name, np.int64)
-        for name in (
-            "n",  # heights in the histogram
-            "first",
-            "last",  # their first and last bin
-            "median",
-            "below",  # the bin of their median, and heights in the bins below
-            "width",  # bins of the histogram in a coarse bin
-            "lo",
-            "hi",  # first and last coarse bin
-            "cleared_from",
-            # coarse bins between which memory has been cleared: not all three megabytes
-            "cleared_to",
-            "oldest",
-            "newest",  # ends of the queue
-        )
-    ]
-)
-_AT_ONCE = 250
-"""Bins of the histogram of heights that are skipped together if they are empty."""
 
 
 class _Row(NamedTuple):
@@ -113,15 +80,10 @@ class _Row(NamedTuple):
 
 
 class _Scratch(NamedTuple):
-    """Memory for the line angles of a row and their modes.
+    """Memory for the modes of samples in bins; ``hist`` and ``density`` are zero between calls."""
 
-    ``hist`` and ``density`` are zero between calls.
-    """
-
-    sampled: I32
-    """Beams of the samples."""
     angles: F64
-    """(2, n) float64, line angles of the samples, and room for their bins."""
+    """(n,) float64, line angles of the samples."""
     hist: I64
     """Samples in every bin, with :data:`HALF` bins more at either end."""
     density: I64
@@ -130,19 +92,6 @@ class _Scratch(NamedTuple):
     """Places of the modes, twice their bin."""
     counts: I64
     """Samples of the modes."""
-
-
-class _Heights(NamedTuple):
-    """Heights of rows: all in fine bins, and those that count in coarse ones with their density."""
-
-    histogram: I32
-    queue: I32
-    """Bins of the heights that are remembered, between the figures ``oldest`` and ``newest``."""
-    hist: I64
-    """Heights in every coarse bin, with :data:`HALF` bins more at the beginning."""
-    density: I64
-    figures: NDArray[np.void]
-    """(1,) of :data:`_FIGURES`."""
 
 
 @helper
@@ -201,52 +150,11 @@ def _spread(density: I64, q: int, count: int) -> None:
 
 
 @helper
-def _add_density(
-    hist: I64,
-    density: I64,
-    lo: int,
-    hi: int,
-) -> None:
-    """Compute the density of binned samples; it must be zero before."""
-    for q in range(lo, hi + 1):
-        if hist[q] > 0:
-            _spread(density, q, hist[q])
-
-
-@inlined
-def _density_at(hist: I64, q: int) -> int:
-    """Compute the density of binned samples in one bin."""
-    first = np.uint64(q - HALF)
-    total = 0
-    for j in range(np.uint64(2 * HALF + 1)):
-        total += hist[first + j] * WEIGHT[j]
-    return total
-
-
-@helper
-def _clear_bins(hist: I64, lo: int, hi: int) -> None:
-
-    for q in range(max(lo, HALF), hi + 1):
+def _clear(hist: I64, density: I64, lo: int, hi: int) -> None:
+    """Forget the samples in some bins."""
+    for q in range(lo - HALF, hi + HALF + 1):
         hist[q] = 0
-
-
-@helper
-def _clear_density(density: I64, lo: int, hi: int) -> None:
-
-    for q in range(max(lo, HALF) - HALF, hi + HALF + 1 if hi >= lo else 0):
         density[q] = 0
-
-
-@helper
-def _clear(
-    hist: I64,
-    density: I64,
-    lo: int,
-    hi: int,
-) -> None:
-
-    _clear_bins(hist, lo, hi)
-    _clear_density(density, lo, hi)
 
 
 @helper
@@ -293,21 +201,6 @@ def _bin(angle: float, width: float, size: int) -> int:
 
 
 @helper
-def _count_in_bins(
-    angles: F64,
-    n: int,
-    width: float,
-    size: int,
-    hist: I64,
-) -> None:
-    """Count line angles, the first row of ``angles``, in bins; the second row gets the bins."""
-    for i in range(n):
-        angles[1, i] = min(max(np.floor(angles[0, i] / width), 0.0), size - 1.0)
-    for i in range(n):
-        hist[int(angles[1, i]) + HALF] += 1
-
-
-@helper
 def _continues_line(
     xyz: F32,
     horizontal: F32,
@@ -339,88 +232,27 @@ def _continues_line(
 
 
 @helper
-def _after_bridge(
-    surface: U8,
-    xyz: F32,
-    horizontal: F32,
-    beams: I32,
-    n_points: int,
-    k: int,
-    n: int,
-    n_fit: int,
-    bridge: int,
-    step: float,
-) -> int:
-    """Return where a line continues behind a few points that are not horizontal, else ``k``."""
-    end = k
-    n_passed = 0
-    while k < n and surface[k] != _HORIZONTAL:
-        if surface[k] != _MISSING:
-            n_passed += 1
-            if n_passed > bridge:
-                return end
-        k += 1
-    behind = k
-    n_horizontal = 0
-    while k < n and n_horizontal < BEHIND:
-        if surface[k] != _MISSING:
-            if surface[k] != _HORIZONTAL or not _continues_line(
-                xyz, horizontal, beams, n_points, k, n_fit, step
-            ):
-                return end
-            n_horizontal += 1
-        k += 1
-    return behind if n_horizontal == BEHIND else end
+def _bin_angles(scratch: _Scratch, n: int, width: float) -> tuple[int, int]:
+    """Count line angles in bins, and return the first and the last bin."""
+    size = len(scratch.hist) - 2 * HALF
+    lo = hi = _bin(scratch.angles[0], width, size)
+    for i in range(n):
+        q = _bin(scratch.angles[i], width, size)
+        lo = min(lo, q)
+        hi = max(hi, q)
+        scratch.hist[q] += 1
+        _spread(scratch.density, q, 1)
+    return lo, hi
 
 
 @helper
-def _follow_peak(hist: I64, peak: int, q: int) -> int:
-    """Return the only maximum of a density after a sample in bin ``q`` was added; -1 = maybe two.
-
-    ``peak`` is the maximum before. A second one can only appear between it and the new sample: on
-    both sides of that stretch the two parts of the density rise, or fall, together.
-    """
-    i = min(peak, q)
-    end = max(peak, q)
-    if i == end:
-        return peak
-    top = i
-    density_here = _density_at(hist, i)
-    rising = True
-    while i < end:
-        density_next = _density_at(hist, i + 1)
-        if density_next < density_here:
-            rising = False
-        elif density_next > density_here and not rising:
-            return -1
-        density_here = density_next
-        i += 1
-        if rising:
-            top = i
-    return top
-
-
-@helper
-def _count_modes(
-    scratch: _Scratch,
-    lo: int,
-    hi: int,
-    least: int,
-) -> tuple[int, int]:
-    """Return the number of modes with at least ``least`` samples, and the bin of the only maximum.
-
-    The bin is -1 if there are several.
-    """
-    density = scratch.density
-    tops = scratch.tops
-    counts = scratch.counts
-    _add_density(scratch.hist, density, lo, hi)
-    n_modes = _find_modes(scratch.hist, density, lo, hi, tops, counts)
-    _clear_density(density, lo, hi)
-    enough = 0
+def _has_one_mode(scratch: _Scratch, lo: int, hi: int, least: int) -> bool:
+    """Whether one mode has at least ``least`` samples."""
+    n_modes = _find_modes(scratch.hist, scratch.density, lo, hi, scratch.tops, scratch.counts)
+    n_large = 0
     for i in range(n_modes):
-        enough += counts[i] >= least
-    return enough, tops[0] // 2 if n_modes == 1 else NONE
+        n_large += scratch.counts[i] >= least
+    return n_large == 1
 
 
 @helper
@@ -435,130 +267,85 @@ def _find_potential(
     """Find potential ground in a row from a beam on (part a).
 
     Returns the number of points, whose beams are in ``beams``, and the bandwidth [deg].
-
-    All work for every point is in this function, see :class:`_Row`. As long as the samples are so
-    close together that they have one mode, the least and the largest angle show it, and no bin is
-    counted.
     """
     surface = row.surface
-    xyz = row.xyz
-    horizontal = row.horizontal
     phihat = row.phihat
-    sampled = scratch.sampled
     angles = scratch.angles
-    hist = scratch.hist
-    jump = thresholds.jump_m
-    n_fit = thresholds.growth_points
-    first_run = thresholds.first_run
-    least = thresholds.mode_samples
-    size = len(hist) - 2 * HALF
+    size = len(scratch.hist) - 2 * HALF
     n_points = n_samples = renew_at = ZERO
-    lo = hi = peak = NONE
+    lo = ZERO
+    hi = NONE
     bandwidth = width = 0.0
-    angle = least_deg = most_deg = lowest_deg = highest_deg = np.nan
+    growing = False
     k = start
-    growing = is_binned = False
-    while True:
-        # the next horizontal point; more than a few that are neither that nor missing end the run
-        while k < n and surface[k] == _MISSING:
+    while k < n:
+        if surface[k] == _MISSING:
             k += 1
-        if n_points > 0 and k < n and surface[k] != _HORIZONTAL:
-            k = _after_bridge(
-                surface,
-                xyz,
-                horizontal,
-                beams,
-                n_points,
-                k,
-                n,
-                n_fit,
-                thresholds.bridge,
-                thresholds.bridge_height_m,
-            )
-        if k >= n or surface[k] != _HORIZONTAL:
-            if growing or k >= n:
+            continue
+        if surface[k] != _HORIZONTAL:
+            if growing:
                 break
             n_points = ZERO
             k += 1
             continue
-        if n_points > 0:
-            # at another height than the last point, and than their line here
-            rise = abs(np.float64(xyz[k, 2]) - np.float64(xyz[beams[n_points - 1], 2]))
-            if rise > jump and not _continues_line(
-                xyz, horizontal, beams, n_points, k, n_fit, jump
-            ):
-                if growing:
-                    break
-                n_points = ZERO
         beams[n_points] = k
         n_points += 1
         k += 1
-        if n_points < first_run:
+        if n_points < thresholds.first_run:
             continue
         # the points but the last one that have a line angle are samples
-        n_samples_before = n_samples
-        if not growing:
-            n_samples = renew_at = ZERO
-            least_deg = np.inf
-            most_deg = -np.inf
+        n_before = n_samples if growing else ZERO
+        n_samples = n_before
         for i in range(n_points - 2 if growing else 0, n_points - 1):
-            angle = np.float64(phihat[beams[i]])
-            sampled[n_samples] = beams[i]
-            angles[0, n_samples] = angle
-            n_samples += angle == angle
-            lowest_deg = least_deg
-            highest_deg = most_deg
-            least_deg = angle if angle < least_deg else least_deg
-            most_deg = angle if angle > most_deg else most_deg
-        if growing and n_samples == n_samples_before:
+            angles[n_samples] = phihat[beams[i]]
+            n_samples += angles[n_samples] == angles[n_samples]
+        if growing and n_samples == n_before:
             continue
-        one_mode = n_samples >= least
+        one_mode = n_samples >= thresholds.mode_samples
         if one_mode:
-            q = ZERO
-            if n_samples >= renew_at:
-                # the bandwidth is renewed whenever the set has grown by a half: that keeps the work
-                # proportional to the number of points
+            if not growing or n_samples >= renew_at:
+                # the bandwidth is renewed whenever the set has grown by a half
                 renew_at = n_samples + n_samples // 2 + 1
                 bandwidth = _bandwidth(
-                    xyz,
+                    row.xyz,
                     row.ahead,
-                    sampled[n_samples // 2],
+                    _sampled(phihat, beams, n_samples // 2),
                     thresholds.bandwidth_deg,
                     thresholds.bandwidth_sigmas,
                     thresholds.range_noise_m,
                 )
                 width = bandwidth / PER_BANDWIDTH
-                if is_binned:
-                    _clear_bins(hist, lo, hi)
-                lo = _bin(least_deg, width, size)
-                hi = _bin(most_deg, width, size)
-                is_binned = False
-            elif is_binned or angle < lowest_deg or angle > highest_deg:
-                q = _bin(angle, width, size)
+                _clear(scratch.hist, scratch.density, max(lo, HALF), hi)
+                lo, hi = _bin_angles(scratch, n_samples, width)
+            else:
+                q = _bin(angles[n_samples - 1], width, size)
                 lo = min(lo, q)
                 hi = max(hi, q)
-                hist[q] += is_binned
-            if hi - lo > CLEAR:
-                if not is_binned:
-                    _count_in_bins(angles, n_samples, width, size, hist)
-                    is_binned = True
-                    peak = NONE
-                if peak >= 0:
-                    peak = _follow_peak(hist, peak, q)
-                if peak < 0:
-                    n_modes, peak = _count_modes(scratch, lo, hi, least)
-                    one_mode = n_modes == 1
+                scratch.hist[q] += 1
+                _spread(scratch.density, q, 1)
+            one_mode = _has_one_mode(scratch, lo, hi, thresholds.mode_samples)
         if growing and not one_mode:
             break
-        if one_mode:
-            growing = True
-        else:  # no ground at this start: try the next point
+        growing = one_mode
+        if not growing:  # no ground at this start: try the next point
             for i in range(n_points - 1):
                 beams[i] = beams[i + 1]
             n_points -= 1
-    if is_binned:
-        _clear_bins(hist, lo, hi)
+    _clear(scratch.hist, scratch.density, max(lo, HALF), hi)
     return n_points - 2 if growing else 0, bandwidth
+
+
+@helper
+def _sampled(phihat: F32, beams: I32, number: int) -> int:
+    """Return the beam of a sample: the points without a line angle are none."""
+    i = ZERO
+    while True:
+        angle = phihat[beams[i]]
+        if angle == angle:
+            if number == 0:
+                return int(np.int64(beams[i]))
+            number -= 1
+        i += 1
 
 
 @helper
@@ -621,20 +408,7 @@ def _grow_run(
             k += 1
             continue
         if surface[k] != _HORIZONTAL:
-            k = _after_bridge(
-                surface,
-                xyz,
-                horizontal,
-                beams,
-                n_points,
-                k,
-                n,
-                n_fit,
-                thresholds.bridge,
-                thresholds.bridge_height_m,
-            )
-            if surface[k] != _HORIZONTAL:
-                break
+            break
         # a point without a line angle is tested by its height only
         if abs(np.float64(phihat[k]) - mode) > bandwidth:
             break
@@ -655,112 +429,18 @@ def _main_angle(
     scratch: _Scratch,
 ) -> float:
     """Return the main mode of the line angles of some points [deg]."""
-    angles = scratch.angles
-    hist = scratch.hist
-    density = scratch.density
-    tops = scratch.tops
-    counts = scratch.counts
-    size = len(hist) - 2 * HALF
     width = bandwidth / PER_BANDWIDTH
-    least_deg = np.inf
-    most_deg = -np.inf
     n_samples = ZERO
     for i in range(n_points):
-        angle = np.float64(phihat[beams[i]])
-        angles[0, n_samples] = angle
-        n_samples += angle == angle
-        least_deg = angle if angle < least_deg else least_deg
-        most_deg = angle if angle > most_deg else most_deg
-    lo = _bin(least_deg, width, size)
-    hi = _bin(most_deg, width, size)
-    _count_in_bins(angles, n_samples, width, size, hist)
-    _add_density(hist, density, lo, hi)
-    best = _largest_mode(counts, _find_modes(hist, density, lo, hi, tops, counts))
-    _clear(hist, density, lo, hi)
+        scratch.angles[n_samples] = phihat[beams[i]]
+        n_samples += scratch.angles[n_samples] == scratch.angles[n_samples]
+    lo, hi = _bin_angles(scratch, n_samples, width)
+    tops = scratch.tops
+    best = _largest_mode(
+        scratch.counts, _find_modes(scratch.hist, scratch.density, lo, hi, tops, scratch.counts)
+    )
+    _clear(scratch.hist, scratch.density, lo, hi)
     return float((tops[best] / 2.0 - HALF + 0.5) * width)
-
-
-@helper
-def _end_of_run(
-    surface: U8,
-    start: int,
-    n: int,
-    bridge: int,
-) -> int:
-    """Return the beam behind a run of horizontal points with gaps of at most ``bridge`` points."""
-    end = k = start
-    n_passed = 0
-    while k < n and n_passed <= bridge:
-        if surface[k] == _HORIZONTAL:
-            n_passed = 0
-            end = k + 1
-        elif surface[k] != _MISSING:
-            n_passed += 1
-        k += 1
-    return end
-
-
-@helper
-def _resume(
-    row: _Row,
-    n: int,
-    beams: I32,
-    n_points: int,
-    candidates: I32,
-    thresholds: GroundThresholds,
-    scratch: _Scratch,
-) -> int:
-    """Add ground from the remainder of a run of horizontal points; return the number of points."""
-    surface = row.surface
-    guard = thresholds.growth_height_m
-    start = k = int(np.int64(beams[n_points - 1] + 1))
-    end = _end_of_run(surface, start, n, thresholds.bridge)
-    crossed = False
-    while start < end:
-        n_candidates, bandwidth = _find_potential(row, end, start, thresholds, candidates, scratch)
-        if n_candidates == 0:
-            break
-        start = int(np.int64(candidates[n_candidates - 1] + 1))
-        while k < candidates[0]:
-            crossed = crossed or (surface[k] != _HORIZONTAL and surface[k] != _MISSING)
-            k += 1
-        if _continues_line(
-            row.xyz,
-            row.horizontal,
-            beams,
-            n_points,
-            int(np.int64(candidates[0])),
-            thresholds.growth_points,
-            min(thresholds.bridge_height_m, guard) if crossed else guard,
-        ):
-            for i in range(n_candidates):
-                beams[n_points + i] = candidates[i]
-            mode = _main_angle(row.phihat, candidates, n_candidates, bandwidth, scratch)
-            n_points = _grow_run(
-                row, end, beams, n_points + n_candidates, mode, bandwidth, thresholds
-            )
-            start = k = int(np.int64(beams[n_points - 1] + 1))
-            crossed = False
-    return n_points
-
-
-@helper
-def _grow(
-    row: _Row,
-    n: int,
-    beams: I32,
-    n_points: int,
-    bandwidth: float,
-    candidates: I32,
-    thresholds: GroundThresholds,
-    scratch: _Scratch,
-) -> int:
-    """Grow accepted ground over the remainder of its run; return the number of points."""
-    mode = _main_angle(row.phihat, beams, n_points, bandwidth, scratch)
-    n_points = _grow_run(row, n, beams, n_points, mode, bandwidth, thresholds)
-    if thresholds.resume:
-        n_points = _resume(row, n, beams, n_points, candidates, thresholds, scratch)
-    return n_points
 
 
 @helper
@@ -770,232 +450,36 @@ def _height_bin(z: float) -> int:
 
 
 @helper
-def _clear_around(heights: _Heights, q: int) -> None:
-    """Clear the memory that a sample in a coarse bin needs."""
-    hist = heights.hist
-    density = heights.density
-    figures = heights.figures[0]
-    if figures["cleared_from"] == figures["cleared_to"]:
-        figures["cleared_from"] = figures["cleared_to"] = q - HALF
-    for i in range(q - HALF, figures["cleared_from"]):
-        hist[i] = density[i] = 0
-    for i in range(figures["cleared_to"], q + HALF + 1):
-        hist[i] = density[i] = 0
-    figures["cleared_from"] = min(figures["cleared_from"], q - HALF)
-    figures["cleared_to"] = max(figures["cleared_to"], q + HALF + 1)
-
-
-@helper
-def _bin_coarsely(heights: _Heights, width: int) -> None:
-    """Bin the histogram of heights in an eighth of the bandwidth."""
-    histogram = heights.histogram
-    hist = heights.hist
-    figures = heights.figures[0]
-    if figures["n"] > 0:
-        _clear(hist, heights.density, figures["lo"], figures["hi"])
-    lo = figures["first"] // width + HALF
-    hi = figures["last"] // width + HALF
-    _clear_around(heights, lo)
-    _clear_around(heights, hi)
+def _main_height(histogram: I32, first: int, last: int, share: float, scratch: _Scratch) -> float:
+    """Return the main mode of heights between two bins [m], by mean shift on the bins."""
+    hist = scratch.hist
+    density = scratch.density
+    tops = scratch.tops
     n = ZERO
-    for i in range(figures["first"], figures["last"] + 1):
-        if histogram[i] > 0:
-            hist[i // width + HALF] += histogram[i]
-            n += histogram[i]
-    figures["n"] = n
-    figures["width"] = width
-    figures["lo"] = lo
-    figures["hi"] = hi
-    _add_density(hist, heights.density, lo, hi)
-
-
-@helper
-def _height_width(median: int, share: float) -> int:
-    """Return an eighth of the bandwidth of heights in bins, rounded up."""
-    return max(1, math.ceil(share * abs(median + 0.5 + PER_METRE * LOWEST_M) / PER_BANDWIDTH))
-
-
-@helper
-def _new_heights(
-    histogram: I32,
-    queue: I32,
-    n_queued: int,
-    share: float,
-) -> _Heights:
-
-    heights = _Heights(
-        histogram=histogram,
-        queue=queue,
-        hist=np.empty(N_HEIGHTS + 2 * HALF, np.int64),
-        density=np.empty(N_HEIGHTS + 2 * HALF, np.int64),
-        figures=np.zeros(1, _FIGURES),
-    )
-    heights.figures[0]["newest"] = n_queued
-    _index_heights(heights, share)
-    return heights
-
-
-@helper
-def _index_heights(heights: _Heights, share: float) -> None:
-    """Find the ends of a histogram of heights, its (lower) median, its density."""
-    histogram = heights.histogram
-    figures = heights.figures[0]
-    n = ZERO
-    for begin in range(0, N_HEIGHTS, _AT_ONCE):
-        n_there = 0
-        for i in range(begin, begin + _AT_ONCE):
-            n_there += histogram[i]
-        if n_there == 0:
-            continue
-        for i in range(begin, begin + _AT_ONCE):
-            if histogram[i] > 0:
-                figures["first"] = i if n == 0 else figures["first"]
-                figures["last"] = i
-                n += histogram[i]
-    if n == 0:
-        return
-    figures["median"] = figures["first"]
-    figures["below"] = 0
-    _move_median(heights, n)
-    _bin_coarsely(heights, _height_width(figures["median"], share))
-
-
-@helper
-def _move_median(heights: _Heights, n: int) -> None:
-    """Move the median to its bin among n heights."""
-    histogram = heights.histogram
-    figures = heights.figures[0]
-    median = figures["median"]
-    below = figures["below"]
-    rank = (n - 1) // 2
-    while below > rank:
-        median -= 1
-        below -= histogram[median]
-    while below + histogram[median] <= rank:
+    for i in range(first, last + 1):
+        n += histogram[i]
+    median = first
+    below = ZERO
+    while below + histogram[median] <= (n - 1) // 2:
         below += histogram[median]
         median += 1
-    figures["median"] = median
-    figures["below"] = below
-
-
-@helper
-def _add_height(heights: _Heights, new: int, share: float) -> None:
-    """Add a height to histogram, median and density."""
-    figures = heights.figures[0]
-    heights.histogram[new] += 1
-    if figures["n"] == 0:
-        _index_heights(heights, share)
-        return
-    figures["first"] = min(figures["first"], new)
-    figures["last"] = max(figures["last"], new)
-    figures["below"] += new < figures["median"]
-    _move_median(heights, figures["n"] + 1)
-    width = _height_width(figures["median"], share)
-    if width == figures["width"]:
-        q = new // width + HALF
-        _clear_around(heights, q)
-        heights.hist[q] += 1
-        _spread(heights.density, q, int(np.int64(1)))
-        figures["lo"] = min(figures["lo"], q)
-        figures["hi"] = max(figures["hi"], q)
-        figures["n"] += 1
-    else:
-        _bin_coarsely(heights, width)
-
-
-@helper
-def _forget_height(heights: _Heights, old: int, share: float) -> None:
-    """Remove a height from histogram, median and density; another height must remain."""
-    histogram = heights.histogram
-    figures = heights.figures[0]
-    histogram[old] -= 1
-    width = figures["width"]
-    q = old // width + HALF
-    heights.hist[q] -= 1
-    _spread(heights.density, q, NONE)
-    figures["n"] -= 1
-    while histogram[figures["first"]] == 0:
-        figures["first"] += 1
-    while histogram[figures["last"]] == 0:
-        figures["last"] -= 1
-    figures["lo"] = figures["first"] // width + HALF
-    figures["hi"] = figures["last"] // width + HALF
-    figures["below"] -= old < figures["median"]
-    _move_median(heights, figures["n"])
-    if _height_width(figures["median"], share) != width:
-        _bin_coarsely(heights, _height_width(figures["median"], share))
-
-
-@helper
-def _count_height(
-    heights: _Heights,
-    z: float,
-    memory: int,
-    share: float,
-) -> None:
-    """Add a height, and remove the oldest one if there are more than ``memory``."""
-    figures = heights.figures[0]
-    new = _height_bin(z)
-    _add_height(heights, new, share)
-    if memory > 0:
-        heights.queue[figures["newest"]] = new
-        figures["newest"] += 1
-        if figures["newest"] - figures["oldest"] > memory:
-            _forget_height(heights, int(np.int64(heights.queue[figures["oldest"]])), share)
-            figures["oldest"] += 1
-
-
-@helper
-def _mode_below_roof(
-    tops: I64,
-    counts: I64,
-    best: int,
-    width: int,
-    roof_m: float,
-    roof_share: float,
-) -> int:
-    """Return the lowest mode below the main one if that is a roof, else the main one.
-
-    The main mode is a roof if a mode far enough below has a large enough share of its samples.
-    """
-    for i in range(best):
-        below_m = (((tops[best] - tops[i]) * width) // 2) / PER_METRE
-        if below_m >= roof_m and np.float64(counts[i]) >= roof_share * np.float64(counts[best]):
-            return i
-    return best
-
-
-@helper
-def _main_height(
-    heights: _Heights,
-    tops: I64,
-    counts: I64,
-    roof_m: float,
-    roof_share: float,
-) -> tuple[int, float]:
-    """Return the number of heights in the main mode, and its height [m] by mean shift on the bins.
-
-    If the main mode is a roof, the ground below it is used.
-    """
-    histogram = heights.histogram
-    figures = heights.figures[0]
-    if figures["n"] == 0:
-        return 0, np.nan
-    width = figures["width"]
-    best = _largest_mode(
-        counts,
-        _find_modes(heights.hist, heights.density, figures["lo"], figures["hi"], tops, counts),
-    )
-    best = _mode_below_roof(tops, counts, best, width, roof_m, roof_share)
+    # coarse bins of an eighth of the bandwidth, rounded up
+    width = max(1, math.ceil(share * abs(median + 0.5 + PER_METRE * LOWEST_M) / PER_BANDWIDTH))
+    lo = first // width + HALF
+    hi = last // width + HALF
+    for i in range(first, last + 1):
+        if histogram[i] > 0:
+            hist[i // width + HALF] += histogram[i]
+            _spread(density, i // width + HALF, histogram[i])
+    best = _largest_mode(scratch.counts, _find_modes(hist, density, lo, hi, tops, scratch.counts))
+    _clear(hist, density, lo, hi)
     place = ((tops[best] - 2 * HALF) * width + width) // 2
+    reach = (HALF + 1) * width - 1
     shift = 0.0
     for _ in range(20):
         moment = 0
         mass = 0
-        reach = (HALF + 1) * width - 1
-        for i in range(
-            max(figures["first"], place - reach), min(figures["last"], place + reach) + 1
-        ):
+        for i in range(max(first, place - reach), min(last, place + reach) + 1):
             if histogram[i] > 0:
                 distance = abs(i - place)
                 j = distance // width
@@ -1013,43 +497,45 @@ def _main_height(
             break
         place += step
         shift = 0.0
-    return counts[best], (place + 0.5 + shift) / PER_METRE + LOWEST_M
+    return float((place + 0.5 + shift) / PER_METRE + LOWEST_M)
 
 
 @loop("prc_cli.reference.sequential_angle.ground")
-def main_height(
-    heights: F64_1,
-    share: float,
-    roof_m: float,
-    roof_share: float,
-) -> tuple[int, float, I32_1, I32_1]:
-    """Find the main mode of heights.
+def main_height(heights: F64_1, share: float) -> tuple[float, I32_1]:
+    """Find the main mode of heights [m], NaN = no heights.
 
-    ``heights`` (n,) float64, metres; returns ``bins`` (n,) int32, ``histogram`` (N_HEIGHTS,) int32.
+    ``heights`` (n,) float64, metres; returns ``histogram`` (N_HEIGHTS,) int32 beside it.
     """
     histogram = np.zeros(N_HEIGHTS, np.int32)
-    bins = np.empty(len(heights), np.int32)
-    for i in range(len(heights)):
-        bins[i] = _height_bin(heights[i])
-        histogram[bins[i]] += 1
-    index = _new_heights(histogram, bins, ZERO, share)
-    tops = np.empty(N_HEIGHTS, np.int64)
-    counts = np.empty(N_HEIGHTS, np.int64)
-    count, height = _main_height(index, tops, counts, roof_m, roof_share)
-    return count, height, bins, histogram
+    first = int(np.int64(N_HEIGHTS))
+    last = NONE
+    for z in heights:
+        q = _height_bin(z)
+        histogram[q] += 1
+        first = min(first, q)
+        last = max(last, q)
+    if last < 0:
+        return np.nan, histogram
+    scratch = _new_scratch(1, N_HEIGHTS)
+    return _main_height(histogram, first, last, share, scratch), histogram
 
 
 @helper
-def _new_scratch(n: int, size: int, n_modes: int) -> _Scratch:
-    """Return memory for rows of ``n`` beams, ``size`` bins of line angles and ``n_modes`` modes."""
+def _new_scratch(n: int, size: int) -> _Scratch:
+    """Return memory for rows of ``n`` beams and ``size`` bins."""
     return _Scratch(
-        sampled=np.empty(n + 1, np.int32),
-        angles=np.empty((2, n + 1), np.float64),
+        angles=np.empty(n + 1, np.float64),
         hist=np.zeros(size + 2 * HALF, np.int64),
         density=np.zeros(size + 2 * HALF, np.int64),
-        tops=np.empty(n_modes, np.int64),
-        counts=np.empty(n_modes, np.int64),
+        tops=np.empty(size, np.int64),
+        counts=np.empty(size, np.int64),
     )
+
+
+@helper
+def _bins_of_angles(thresholds: GroundThresholds) -> int:
+
+    return math.ceil(LARGEST_DEG * PER_BANDWIDTH / thresholds.bandwidth_deg) + 1
 
 
 @loop("prc_cli.reference.sequential_angle.ground")
@@ -1068,8 +554,7 @@ def potential_heights(
     metres; ``phihat`` (R, n) float32, degrees; ``ahead`` (R, n) int32; ``n_beams`` (R,) int32.
     """
     n_rows, n = surface.shape
-    size = math.ceil(LARGEST_DEG * PER_BANDWIDTH / thresholds.bandwidth_deg) + 1
-    scratch = _new_scratch(n, size, size)
+    scratch = _new_scratch(n, _bins_of_angles(thresholds))
     beams = np.empty(n + 1, np.int32)
     first = np.empty(n_rows, np.int32)
     last = np.empty(n_rows, np.int32)
@@ -1128,69 +613,67 @@ def ground_rows(
     Returns ``ground`` (R, n) bool, ``z_g`` (R,) float32.
     """
     n_rows, n = surface.shape
-    size = math.ceil(LARGEST_DEG * PER_BANDWIDTH / thresholds.bandwidth_deg) + 1
-    scratch = _new_scratch(n, size, max(size, N_HEIGHTS))
-    tops = scratch.tops
-    counts = scratch.counts
+    scratch = _new_scratch(n, _bins_of_angles(thresholds))
+    scratch_of_heights = _new_scratch(1, N_HEIGHTS)
     beams = np.empty(n + 1, np.int32)
-    candidates = np.empty(n + 1, np.int32)
-    n_recent = len(state.recent)
-    queue = np.empty(n_recent + n_rows, np.int32)
-    queue[:n_recent] = state.recent
-    memory = thresholds.memory_heights
     share = thresholds.height_bandwidth
     z_g = state.z_g
-    roof_m = thresholds.roof_m
-    roof_share = thresholds.roof_share
-    heights = _new_heights(state.histogram.copy(), queue, n_recent, share)
-    figures = heights.figures[0]
+    histogram = state.histogram.copy()
+    n_heights = ZERO
+    first = int(np.int64(N_HEIGHTS))
+    last = NONE
+    for q in range(N_HEIGHTS):
+        if histogram[q] > 0:
+            n_heights += histogram[q]
+            first = min(first, q)
+            last = q
     ground = np.zeros((n_rows, n), np.bool_)
     z_rows = np.empty(n_rows, np.float32)
-    side_m = state.side_m.copy()
-    follow_m = thresholds.follow_m
     for i in range(n_rows):
         row = _Row(surface[i], xyz[i], horizontal[i], phihat[i], ahead[i])
         n_valid = int(np.int64(n_beams[i]))
         to_count = i >= state.n_in_histogram_ahead
-        side = i % len(side_m)
         z_row = np.nan
         accepted = False
         # the first potential ground is known
         n_points = _horizontal_beams(row.surface, potential.first[i], potential.last[i], beams)
         bandwidth = potential.bandwidth_deg[i]
         z_i = potential.height_m[i]
-        while n_points > 0:
+        while n_points > 0 and not accepted:
             # the first estimate had too few heights: count this one at once
-            if to_count and figures["n"] < thresholds.start_heights:
-                _count_height(heights, z_i, memory, share)
+            if to_count and n_heights < thresholds.start_heights:
+                q = _height_bin(z_i)
+                histogram[q] += 1
+                n_heights += 1
+                first = min(first, q)
+                last = max(last, q)
                 to_count = False
-                if z_g == z_g or figures["n"] >= thresholds.least_heights:
-                    _, z_g = _main_height(heights, tops, counts, roof_m, roof_share)
-            accepted = abs(z_i - z_g) < max(
-                thresholds.height_tolerance * abs(z_g), thresholds.height_tolerance_m
-            )
-            accepted = accepted or abs(z_i - side_m[side]) < follow_m
+                z_g = _main_height(histogram, first, last, share, scratch_of_heights)
+            accepted = abs(z_i - z_g) < thresholds.height_tolerance * abs(z_g)
             if accepted or z_row != z_row:
                 z_row = z_i
-            if accepted:
-                break
-            start = int(np.int64(beams[n_points - 1] + 1))
-            n_points, bandwidth = _find_potential(row, n_valid, start, thresholds, beams, scratch)
-            if n_points > 0:
-                z_i = _lowest_mean(
-                    row.xyz, beams, n_points, thresholds.lowest_points, thresholds.height_points
+            if not accepted:
+                start = int(np.int64(beams[n_points - 1] + 1))
+                n_points, bandwidth = _find_potential(
+                    row, n_valid, start, thresholds, beams, scratch
                 )
+                if n_points > 0:
+                    z_i = _lowest_mean(
+                        row.xyz, beams, n_points, thresholds.lowest_points, thresholds.height_points
+                    )
         if accepted:
-            side_m[side] = z_i
-            for j in range(
-                _grow(row, n_valid, beams, n_points, bandwidth, candidates, thresholds, scratch)
-            ):
+            mode = _main_angle(row.phihat, beams, n_points, bandwidth, scratch)
+            n_points = _grow_run(row, n_valid, beams, n_points, mode, bandwidth, thresholds)
+            for j in range(n_points):
                 ground[i, beams[j]] = True
         if to_count and z_row == z_row:
-            _count_height(heights, z_row, memory, share)
-            if accepted or thresholds.renew_every:
-                _, z_g = _main_height(heights, tops, counts, roof_m, roof_share)
+            q = _height_bin(z_row)
+            histogram[q] += 1
+            n_heights += 1
+            first = min(first, q)
+            last = max(last, q)
+            if accepted:
+                z_g = _main_height(histogram, first, last, share, scratch_of_heights)
         z_rows[i] = z_g
-    recent = queue[figures["oldest"] : figures["newest"]].copy()
     n_still_ahead = max(state.n_in_histogram_ahead - n_rows, 0)
-    return ground, z_rows, GroundState(heights.histogram, recent, z_g, n_still_ahead, side_m)
+    return ground, z_rows, GroundState(histogram, z_g, n_still_ahead)

@@ -8,9 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.classes import Label, Surface
-from prc_cli.core.loops import helper, loop
+from prc_cli.core.loops import loop
 from prc_cli.core.types import (
-    F32,
     F32_1,
     F32_2,
     F32_3,
@@ -18,10 +17,8 @@ from prc_cli.core.types import (
     F64_2,
     I32_1,
     I32_2,
-    U8,
     U8_1,
     U8_2,
-    Mask,
     Mask_2,
 )
 
@@ -195,10 +192,6 @@ def arrange_plane(
     return ranges, xyz, horizontal
 
 
-_CURB_DEPTH_M = 0.3
-"""Curb points that are farther behind the nearest one of their row belong to another curb [m]."""
-
-
 @loop("prc_cli.reference.sequential_angle.labels")
 def mark_cars(
     intervals: I32_2,
@@ -225,65 +218,19 @@ def mark_cars(
     return marked
 
 
-@helper
-def _curb_of(
-    curb: Mask,
-    horizontal_m: F32,
-    xyz_m: F32,
-    row: int,
-    n: int,
-) -> tuple[float, float]:
-    """Return the least distance of the curb points of a row, and the top of those near it [m]."""
-    nearest = np.float32(np.inf)
-    for k in range(n):
-        if curb[row, k]:
-            nearest = min(nearest, horizontal_m[row, k])
-    top = -np.inf
-    for k in range(n):
-        if curb[row, k] and np.float64(horizontal_m[row, k]) - np.float64(nearest) <= _CURB_DEPTH_M:
-            top = max(top, np.float64(xyz_m[row, k, 2]))
-    return np.float64(nearest), top
-
-
-@helper
-def _foot(
-    surface: U8,
-    car: Mask,
-    xyz_m: F32,
-    row: int,
-    k: int,
-    n: int,
-    base: float,
-) -> tuple[int, float]:
-    """Return the beam after successive car points, and the height they stand on [m].
-
-    That is the lowest of them, or the last horizontal point before them if it is lower.
-    """
-    foot = base
-    end = k
-    while end < n and (car[row, end] or surface[row, end] == _NOTHING):
-        if car[row, end]:
-            foot = min(foot, np.float64(xyz_m[row, end, 2]))
-        end += 1
-    return end, foot
-
-
 @loop("prc_cli.reference.sequential_angle.labels")
 def combine_classes(
     surface: U8_2,
     ground: Mask_2,
     car: Mask_2,
     horizontal_m: F32_2,
-    xyz_m: F32_3,
     curb: Mask_2,
     label_of: U8_1,
-    below_m: float,
 ) -> U8_2:
     """Give every beam its class; cars behind a curb go back to the coarse classification.
 
     ``surface`` (R, n) uint8; ``ground, car`` (R, n) bool; ``horizontal_m`` (R, n) float32, metres;
-    ``xyz_m`` (R, n, 3) float32, metres; ``curb`` (R, n) bool; ``label_of`` (5,) uint8; returns (R,
-    n) uint8.
+    ``curb`` (R, n) bool; ``label_of`` (5,) uint8; returns (R, n) uint8.
     """
     n_rows, n = surface.shape
     labels = np.empty((n_rows, n), np.uint8)
@@ -293,9 +240,9 @@ def combine_classes(
     label_vertical = label_of[3]
     label_undecided = label_of[4]
     for row in range(n_rows):
-        n_curb = 0
+        nearest = np.float32(np.inf)
         for k in range(n):
-            n_curb += curb[row, k]
+            nearest = min(nearest, horizontal_m[row, k]) if curb[row, k] else nearest
         for k in range(n):  # selections, not a table: they are vector instructions
             code = surface[row, k]
             label = label_undecided
@@ -304,28 +251,9 @@ def combine_classes(
             label = label_horizontal if code == 2 else label
             label = label_vertical if code == 3 else label
             label = np.uint8(_GROUND) if ground[row, k] else label
-            labels[row, k] = np.uint8(_CAR) if car[row, k] and n_curb == 0 else label
-        if n_curb > 0:
-            nearest, top = _curb_of(curb, horizontal_m, xyz_m, row, n)
-            base = np.inf
-            k = int(np.int64(0))
-            while k < n:
-                if not car[row, k]:
-                    if surface[row, k] == _HORIZONTAL:
-                        base = np.float64(xyz_m[row, k, 2])
-                    k += 1
-                    continue
-                end, foot = _foot(surface, car, xyz_m, row, k, n, base)
-                stands_below = foot < top - below_m
-                for j in range(k, end):
-                    if car[row, j] and (
-                        stands_below or not np.float64(horizontal_m[row, j]) > nearest
-                    ):
-                        labels[row, j] = _CAR
-                k = end
-            for k in range(n):
-                if curb[row, k]:
-                    labels[row, k] = _CURB
+            before_curb = not horizontal_m[row, k] > nearest
+            label = np.uint8(_CAR) if car[row, k] and before_curb else label
+            labels[row, k] = np.uint8(_CURB) if curb[row, k] else label
     return labels
 
 

@@ -56,7 +56,6 @@ from prc_cli.methods.sequential_angle.coarse import (
     car_surface,
     coarse,
     dense_vegetation,
-    without_windows,
 )
 from prc_cli.methods.sequential_angle.curb import CurbState, curbs, possible_curbs
 from prc_cli.methods.sequential_angle.ground import ground, initial_ground, potential_ground
@@ -69,7 +68,6 @@ from prc_cli.methods.sequential_angle.lines import (
     vertical_lines,
 )
 from prc_cli.methods.sequential_angle.thresholds import (
-    CurbThresholds,
     GroundState,
     GroundThresholds,
     PotentialGround,
@@ -139,8 +137,6 @@ class RowsBeforeCurbs:
     """(R, n) bool, C before cars behind curbs are removed."""
     horizontal_m: F32
     """(R, n) float32, horizontal distance [m]."""
-    xyz_m: F32
-    """(R, n, 3) float32, relative to the scanner [m]."""
     ground_height_m: F32
     """(R,) float32, z_g [m]."""
     trigger: U8
@@ -381,7 +377,7 @@ def classify_block(
     final_rows, curb = turn.hand_on(
         CURBS, lambda state: decide_curbs(with_cars, state, thresholds, last=last)
     )
-    return FinalLines(in_columns(final_rows, curb, beams, thresholds.curb), final_rows)
+    return FinalLines(in_columns(final_rows, curb, beams), final_rows)
 
 
 def _split_lines(
@@ -430,8 +426,7 @@ def within_lines(
     lines = vertical_lines(range_m, xyz_m, beams.beam_rad, beams.sides, thresholds.max_range_m)
     angles = signed_angles(lines, thresholds.angles)
     surface = coarse(angles.signed_deg, lines, thresholds.coarse)
-    surface = without_windows(surface, lines, thresholds.coarse.windows)
-    dense = dense_vegetation(angle_differences(angles.signed_deg), thresholds.dense_vegetation)
+    dense = dense_vegetation(angle_differences(angles.signed_deg))
     car_layer = car_surface(angles.signed_deg, dense, lines, thresholds.coarse.surfaces)
     line_angle_deg = line_angles(lines, angles.ahead, surface)
     return LineResults(
@@ -490,7 +485,7 @@ def _start_ground(
     must_wait = n_heights < thresholds.start_heights and len(heights_m) < state.max_rows
     if must_wait and not last:
         return [], replace(state, waiting=waiting, heights_m=heights_m)
-    estimate = initial_ground(first_heights_m, thresholds, rows.lines.n_sides)
+    estimate = initial_ground(first_heights_m, thresholds)
     return list(waiting), replace(state, waiting=(), heights_m=np.empty(0), estimate=estimate)
 
 
@@ -512,7 +507,6 @@ def find_cars(
         ground=part.ground,
         car=cars_found.car,
         horizontal_m=lines.horizontal_m,
-        xyz_m=lines.xyz_m,
         ground_height_m=z_g,
         trigger=search.trigger,
         car_interval=search.interval,
@@ -553,7 +547,7 @@ def decide_curbs(
     return (final_rows, final_curbs), state
 
 
-def combine(rows: RowsBeforeCurbs, curb: Mask, thresholds: CurbThresholds) -> U8:
+def combine(rows: RowsBeforeCurbs, curb: Mask) -> U8:
     """Give every beam its class; cars behind a curb go back to the coarse classification (sec. 8).
 
     ``curb`` (R, n) bool; returns (R, n) uint8.
@@ -563,10 +557,8 @@ def combine(rows: RowsBeforeCurbs, curb: Mask, thresholds: CurbThresholds) -> U8
         rows.ground,
         rows.car,
         rows.horizontal_m,
-        rows.xyz_m,
         curb,
         np.array(LABEL_OF_SURFACE, np.uint8),
-        thresholds.stands_below_m,
     )
     return labels
 
@@ -576,7 +568,6 @@ def in_columns(
     parts: Sequence[RowsBeforeCurbs],
     curb_parts: Sequence[Mask],
     beams: Beams,
-    thresholds: CurbThresholds,
 ) -> U8:
     """Label final rows, and map them back to the columns of their scan lines, (lines, M) uint8.
 
@@ -590,7 +581,7 @@ def in_columns(
     start = 0
     for part in parts:
         stop = start + len(part.surface)
-        labels.append(to_columns(combine(part, curb[start:stop], thresholds), beams.sides, m))
+        labels.append(to_columns(combine(part, curb[start:stop]), beams.sides, m))
         start = stop
     return labels[0] if len(labels) == 1 else np.concatenate(labels)
 

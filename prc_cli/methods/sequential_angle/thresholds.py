@@ -37,8 +37,6 @@ def _add_up(row: Three) -> Three:
 
 Row = Annotated[tuple[Probability, Probability, Probability], AfterValidator(_add_up)]
 Matrix = tuple[Row, Row, Row]
-Inner = Annotated[float, Field(gt=0, lt=1)]
-Chain = Annotated[tuple[Inner, Inner, Inner], AfterValidator(_add_up)]
 UNIFORM: Three = (1 / 3, 1 / 3, 1 / 3)
 CALM: Three = (0.1, 0.8, 0.1)
 
@@ -55,139 +53,73 @@ class ChordThresholds(NamedTuple):
     """Shortest chord that an angle is measured on [standard deviations of the range noise].
 
     Below about 3 noise turns
-    chords round and looks like foliage; 0 takes successive shots, as published."""
-    least_chord_m: Annotated[float, key(0, 10)] = 0.02
-    """Shortest chord, however small the noise.
-
-    Shorter ones measure rims and edges, not surfaces; published: 0 [m].
-    """
-    chord_depth_sigmas: Annotated[float, key(0, 1000)] = 3.0
-    """Differences of range up to this count nothing for the length of a chord, larger ones by what
-    they have more [standard deviations of the range noise]: where shots lie closer than the noise,
-    it would choose the ends; 0 = the whole chord counts."""
+    chords round and looks like foliage; published: 0, successive shots."""
     max_shots: int = 256
     """Valid shots before and after a shot among which its chords may end.
 
     Bounds the time where all are at one spot.
     """
-    depth_m: float = 0.0
-    """``chord_depth_sigmas`` in metres."""
+    least_chord_m: float = 0.0
+    """``min_chord_sigmas`` in metres."""
 
     def at_noise(self) -> ChordThresholds:
         """Return lengths in metres at the range noise."""
-        noise = self.range_noise_m
-        least = max(self.min_chord_sigmas * noise, self.least_chord_m)
-        return self._replace(least_chord_m=least, depth_m=self.chord_depth_sigmas * noise)
+        return self._replace(least_chord_m=self.min_chord_sigmas * self.range_noise_m)
 
 
 class MarkovThresholds(NamedTuple):
     """Two hidden Markov models of three states with common Gaussians, and the end of their test."""
 
-    means_deg: Annotated[tuple[Angle, Angle, Angle], key()] = (-90.0, 0.0, 90.0)
+    means_deg: tuple[Angle, Angle, Angle] = (-90.0, 0.0, 90.0)
     """Mean of every state [deg] (published)."""
     sigmas_deg: Annotated[tuple[Spread, Spread, Spread], key()] = (30.0, 30.0, 30.0)
-    """Standard deviation of every state [deg]."""
+    """Standard deviation of every state [deg]; published (the script): 2, 2, 12."""
     h0: Annotated[Matrix, key()] = (
         (0.05, 0.475, 0.475),
         (0.05, 0.875, 0.075),
         (0.05, 0.075, 0.875),
     )
     """Transition probabilities of model 0, no vegetation; row = from, each adds up to 1."""
-    h1: Annotated[Matrix, key()] = (UNIFORM, UNIFORM, UNIFORM)
-    """Transition probabilities of model 1, vegetation; row = from, each adds up to 1."""
-    initial_h0: Annotated[Row, key()] = (0.05, 0.475, 0.475)
-    """Probabilities of the states of model 0 at the first sample of a start.
-
-    Stationary, so that a region begins with a
-    value near -90 deg; with 1/3 each this sample tells nothing, values that alternate between -90
-    and 90 are never found, and stairs are."""
+    h1: Matrix = (UNIFORM, UNIFORM, UNIFORM)
+    """Transition probabilities of model 1, vegetation; row = from (published)."""
+    initial_h0: Three = UNIFORM
+    """Probabilities of the states of model 0 at the first sample of a start (published)."""
     initial_h1: Three = UNIFORM
     """Those of model 1."""
     threshold: Annotated[float, key(above=0, most=100)] = 10.0
     """Log-likelihood ratio that vegetation begins at [nats] (published for dense vegetation)."""
-    threshold_back: float = 10.0
-    """Log-likelihood ratio that it ends at, without ``sprt`` [nats]."""
-    sprt: Annotated[bool, key()] = False
-    """How a region ends: false runs the same test with the models exchanged.
-
-    True confirms the region by a test between
-    two bounds on the samples after the alarm, repeats that until one rejects, and pulls the end
-    back to the sample after the last negative value."""
     accept: float = 10.0
-    """Upper bound of these tests [nats]."""
+    """Upper bound of the tests that confirm and end a region [nats]."""
     reject: float = -5.0
     """Lower bound of these tests [nats]."""
     merge_gap: int = 5
-    """Regions found with ``sprt`` that are closer than this become one [samples]."""
+    """Regions that are closer than this become one [samples]."""
     backdate: Annotated[bool, key()] = True
-    """A change is at its estimated onset; else at the sample that raised the alarm."""
+    """Vegetation begins at its estimated onset; published (the script): false, at the sample that
+    raised the alarm."""
+
+
+DENSE_VEGETATION = MarkovThresholds(
+    means_deg=(-150.0, 0.0, 150.0), h0=(CALM, CALM, CALM), backdate=False
+)
+"""Those of dense vegetation, T' (published, and the script)."""
 
 
 class SurfaceThresholds(NamedTuple):
     """Changes of a run from horizontal to vertical and back (``sequential_angle.coarse.surfaces``).
 
     From horizontal to vertical the sum of (drift - angle), from vertical to horizontal the sum of
-    (angle - drift) is followed, never below zero, until it exceeds the threshold. Drift 45 and
-    threshold 30 deg are the test between Gaussians of mean 90 and 0 and standard deviation 30 deg
-    at a log-likelihood ratio of 3. One clean sample moves the sum by 45 deg: a threshold below that
-    keeps curbs of a single sample.
+    (angle - drift) is followed, never below zero, until it exceeds the threshold.
     """
 
     drift_vertical_deg: Annotated[float, key(0, 180)] = 45.0
-    """Drift from horizontal to vertical [deg]."""
-    threshold_vertical_deg: Annotated[float, key(0, 1e6)] = 30.0
-    """Threshold from horizontal to vertical [deg]."""
+    """Drift from horizontal to vertical [deg] (published)."""
+    threshold_vertical_deg: Annotated[float, key(0, 1e6)] = 20.0
+    """Threshold from horizontal to vertical [deg] (published)."""
     drift_horizontal_deg: Annotated[float, key(0, 180)] = 45.0
-    """Drift from vertical to horizontal [deg]."""
+    """Drift from vertical to horizontal [deg]; published (the script): 30."""
     threshold_horizontal_deg: Annotated[float, key(0, 1e6)] = 30.0
-    """Threshold from vertical to horizontal [deg]."""
-    fold: Annotated[bool, key()] = True
-    """Angles beyond 90 deg, on surfaces that are passed downwards, count as their supplement."""
-    backdate: Annotated[bool, key()] = True
-    """A change is at the first sample after the sum was last zero; else where it is detected."""
-    start_horizontal: Annotated[bool, key()] = False
-    """Runs begin as horizontal, not as the median of their first five angles says."""
-
-
-class WindowThresholds(NamedTuple):
-    """When vegetation is a facade with windows (``[sequential_angle.coarse.windows]``)."""
-
-    share: Annotated[float, key(0, 1)] = 0.5
-    """A run of vegetation is vertical if two upright layers hold more than this share of its
-    points; published: 1, never."""
-    width_m: float = 0.03
-    """Thickness of a layer at least ..."""
-    width_sigmas: float = 6.0
-    """... or so many standard deviations of the range noise, ..."""
-    most_m: float = 0.06
-    """... but at most this, however noisy the ranges."""
-    min_points: int = 8
-    """Shorter runs stay vegetation [points]."""
-    wall_extent_m: Annotated[float, key(0, 1e3)] = 0.3
-    """Runs of vertical points of this height that are straight and upright are walls.
-
-    Vegetation in their plane is
-    vertical, and so is what is seen behind a wall below its lower end; published: 0, none is
-    [m]."""
-    wall_m: float = 0.03
-    """Vegetation this near to a wall's distance is in its plane."""
-    front_m: float = 0.1
-    """What is behind a wall may be this much before it: its face has reliefs."""
-    break_m: float = 0.1
-    """A wall ends where the horizontal distance changes by more from one return to the next."""
-    straight_m: float = 0.01
-    """Straight is what lies this near to a straight line, rms, ..."""
-    straight_sigmas: float = 2.0
-    """... or as many times the range noise."""
-    slope: float = math.tan(math.radians(2.0))
-    """Upright is what leans less than this from the vertical, a tangent."""
-
-    def at_noise(self, range_noise_m: float) -> WindowThresholds:
-        """Return lengths at a standard deviation of the range [m]."""
-        return self._replace(
-            width_m=min(max(self.width_m, self.width_sigmas * range_noise_m), self.most_m),
-            straight_m=max(self.straight_m, self.straight_sigmas * range_noise_m),
-        )
+    """Threshold from vertical to horizontal [deg]; published (the script): 15."""
 
 
 class CoarseThresholds(NamedTuple):
@@ -195,7 +127,6 @@ class CoarseThresholds(NamedTuple):
 
     vegetation: MarkovThresholds = MarkovThresholds()
     surfaces: SurfaceThresholds = SurfaceThresholds()
-    windows: WindowThresholds = WindowThresholds()
 
 
 class GroundThresholds(NamedTuple):
@@ -213,21 +144,11 @@ class GroundThresholds(NamedTuple):
     height_tolerance: Annotated[float, key(above=0, most=10)] = 0.10
     """Potential ground is ground when its height differs from the dominant height by less than this
     share of it (published); heights are counted from the scanner."""
-    height_tolerance_m: Annotated[float, key(0, 100)] = 0.05
-    """The same at least, for scanners near the ground [m]; 0: the printed text."""
-    follow_m: Annotated[float, key(0, 100)] = 0.10
-    """Potential ground is ground, too, when its height differs by less than this from that of the
-    last ground of the same side [m]; 0: the printed text."""
     height_points: Annotated[int, key(0, 100_000)] = 30
     """Points at the beginning of potential ground that its lowest points are taken from.
 
     0 = all of it, the printed
     text."""
-    least_heights: Annotated[int, key(1, 100_000)] = 10
-    """Heights of lines, or those of half of all lines, without which the ground is unknown.
-
-    1: the printed text.
-    """
     bandwidth_deg: float = 5.0
     """Bandwidth of the mean shift over line angles: the larger of this ..."""
     bandwidth_sigmas: float = 3.0
@@ -241,46 +162,10 @@ class GroundThresholds(NamedTuple):
 
     Rounded up to a multiple of 16 mm.
     """
-    roof_m: Annotated[float, key(0, 1e6)] = 0.6
-    """Heights that much above a lower mode, which has a quarter of their number, are those of
-    bonnets and roofs [m]; published: so large that it is off."""
-    roof_share: float = 0.25
-    """The lower mode must have at least this share of the heights of the main one."""
-    renew_every: Annotated[bool, key()] = True
-    """The dominant height is computed anew after every line that has a height, not only after those
-    that have ground (published)."""
-    memory_heights: Annotated[int, key(0, 1_000_000)] = 2000
-    """Heights that the dominant height comes from, the latest ones, never fewer than start_heights.
-
-    0 = all
-    (published)."""
     growth_points: int = 10
     """Points before a point that the local line is laid through."""
-    jump_m: Annotated[float, key(above=0, most=1000)] = 0.10
-    """Height above or below the last point and the local line that ends potential ground [m].
-
-    1000 turns it off, as in
-    the printed text."""
     growth_height_m: float = 0.10
     """Height above or below the local line up to which ground grows."""
-    resume: Annotated[bool, key()] = True
-    """Where growth ends within a run of horizontal points, more potential ground in the rest of the
-    run that continues the local line is ground too; off: the printed text."""
-    bridge: Annotated[int, key(0, 1000)] = 4
-    """Points in succession, neither horizontal nor missing, that potential and growing ground pass
-    over where the horizontal points behind continue the local line; 0: the printed text."""
-    bridge_height_m: float = 0.05
-    """Height above or below the local line up to which they continue it."""
-
-    def at_noise(self, range_noise_m: float) -> GroundThresholds:
-        """Return consistent numbers of heights, and a standard deviation of the range [m]."""
-        return self._replace(
-            range_noise_m=range_noise_m,
-            least_heights=min(self.least_heights, self.start_heights),
-            memory_heights=max(self.memory_heights, self.start_heights)
-            if self.memory_heights
-            else 0,
-        )
 
 
 class PotentialGround(NamedTuple):
@@ -301,33 +186,24 @@ class GroundState(NamedTuple):
 
     histogram: Ints
     """(185 000,) int32, heights of the rows so far, in bins of 2 mm from -310 m on."""
-    recent: Ints
-    """(at most ``memory_heights``,) int32, their bins, the oldest one first.
-
-    Empty where none is forgotten.
-    """
     z_g: float
     """Height of the ground, NaN = unknown."""
     n_in_histogram_ahead: int
     """Rows to come whose heights the histogram holds already."""
-    side_m: Floats
-    """(n_sides,) float64, height of the last ground of every side, NaN = none."""
 
 
 class CurbThresholds(NamedTuple):
     """How curbs are found and verified (``[sequential_angle.curb]``)."""
 
-    under_points: Annotated[int, key(1, 100_000)] = 30
+    under_points: int = 30
     """Points before a point that are looked at for something under it (published)."""
-    under_m: Annotated[float, key(0, 100)] = 0.01
-    """A point before that is farther away by more than this, ... [m] (published)."""
-    under_sigmas: Annotated[float, key(0, 1000)] = 6.0
-    """... and by more than this many times the range noise, lies under the point, which then is no
-    curb; published: 0."""
-    search_height_m: Annotated[float, key(0, 1000)] = 2.0
+    under_m: float = 0.01
+    """A point before that is farther away by more than this lies under the point, which then is no
+    curb (published) [m]."""
+    search_height_m: float = 2.0
     """Height above the ground where the search for a curb ends (published) [m]."""
-    grouping_m: Annotated[float, key(above=0, most=100)] = 0.3
-    """Neighbouring vertical points closer than this belong to one region [m]."""
+    grouping_m: Annotated[float, key(above=0, most=100)] = 2.0
+    """Neighbouring vertical points closer than this belong to one region [m] (published)."""
     max_height_m: Annotated[float, key(above=0, most=100)] = 0.2
     """A higher region is not a curb (published) [m]."""
     min_height_m: Annotated[float, key(0, 100)] = 0.08
@@ -335,9 +211,6 @@ class CurbThresholds(NamedTuple):
 
     Cars stand behind them; published: 0 [m].
     """
-    stands_below_m: Annotated[float, key(0, 1e6)] = 0.05
-    """A car whose foot, or the ground before it, is this much lower than the top of a curb stands
-    on a road and not behind the curb; published: so large that it is off [m]."""
     min_lines: Annotated[int, key(1, 200)] = 3
     """Lines that make a curb of a region with a possible curb point (published)."""
     curvature_deg: float = 20.0
@@ -345,10 +218,6 @@ class CurbThresholds(NamedTuple):
     this."""
     max_lines: int = 200
     """A region of so many lines is decided as it is: bounds memory and delay."""
-
-    def at_noise(self, range_noise_m: float) -> CurbThresholds:
-        """Return lengths at a standard deviation of the range [m]."""
-        return self._replace(under_m=max(self.under_m, self.under_sigmas * range_noise_m))
 
 
 class OpenRegions(NamedTuple):
@@ -376,16 +245,14 @@ class OpenRegions(NamedTuple):
 class SuspiciousThresholds(NamedTuple):
     """Markov chains of H, V, M on a surface and on a car (``sequential_angle.car.suspicious``)."""
 
-    enabled: Annotated[bool, key()] = False
-    """Test lines at all; false = every line may hold a car; published: true."""
-    h0: Annotated[tuple[Chain, Chain, Chain], key()] = (
+    h0: tuple[Three, Three, Three] = (
         (0.8, 0.1, 0.1),
         (0.09, 0.9, 0.01),
         (0.6, 0.3, 0.1),
     )
     """Regular surface: probabilities from H, V, M (rows) to H, V, M (published; the third column
     completes the rows)."""
-    h1: Annotated[tuple[Chain, Chain, Chain], key()] = (
+    h1: tuple[Three, Three, Three] = (
         (0.5, 0.25, 0.25),
         (0.25, 0.5, 0.25),
         (0.25, 0.25, 0.5),
@@ -404,21 +271,15 @@ class DividerThresholds(NamedTuple):
     sudden_to_deg: Annotated[float, key(-180, 180)] = 20.0
     """L2: so is one above this; gradual changes begin an interval [deg] (published)."""
     change_chord_m: Annotated[float, key(0, 10)] = 0.1
-    """That angle is measured to the first return at least this far away, ... [m]."""
-    change_chord_sigmas: Annotated[float, key(0, 1000)] = 8.0
-    """... and at least this many times the range noise.
-
-    Published: both 0, the signed angle of the point itself.
-    """
+    """That angle is measured to the first return at least this far away; published: 0, the signed
+    angle of the point itself [m]."""
     change_reach: int = 200
     """Returns that are looked at for either end of that chord."""
-    under_points: Annotated[int, key(1, 10_000)] = 30
+    under_points: int = 30
     """L: returns before a sudden change among which TestUnder looks (published)."""
-    under_m: Annotated[float, key(0, 100)] = 0.01
-    """A point before that is farther away by more than this, ... [m] (published)."""
-    under_sigmas: Annotated[float, key(0, 1000)] = 6.0
-    """... and by more than this many times the range noise, lies under the point, which then begins
-    an interval; published: 0."""
+    under_m: float = 0.01
+    """A point before that is farther away by more than this lies under the point, which then begins
+    an interval (published) [m]."""
     separation_m: Annotated[float, key(above=0, most=1e4)] = 4.0
     """T_sep: successive returns farther apart are two objects, ... [m] (published)."""
     return_points: Annotated[int, key(0, 100_000)] = 8
@@ -438,19 +299,12 @@ class DividerThresholds(NamedTuple):
     flat_step_m: Annotated[float, key(0, 1e3)] = 0.2
     """A change of height from one return to the next that ends such a stretch, as from a bonnet to
     the road behind; published: 0, none does [m]."""
-    flat_above_m: Annotated[float, key(0, 1e3)] = 1.0
-    """Such a stretch ends no interval where it begins higher than this above the lowest return of
-    the interval, as the roof of a car does; published: so large that it is off [m]."""
     height_m: Annotated[float, key(above=0, most=1e3)] = 2.0
     """T_height: cars are not sought above the first return this high over the ground [m]
     (published)."""
     tall_m: Annotated[float, key(0, 1e3)] = 2.6
     """They are along a vertical run that goes on from below and ends no higher than this above the
     ground, as the side of a van does; published: 0, they are not [m]."""
-    glass_m: Annotated[float, key(0, 1e3)] = 1.0
-    """Dense vegetation does not end the search where the next return behind it is horizontal or
-    vertical and no farther away than the last one before it by this: it is the window of a car;
-    published: 0, it does [m]."""
     vertical_extent_m: float = 1.2
     """Runs of vertical points of this height or more are cut out, ..."""
     vertical_top_m: Annotated[float, key(0, 1e3)] = 2.6
@@ -458,11 +312,6 @@ class DividerThresholds(NamedTuple):
     above the ground, as no car does; 0 = wherever they end [m]."""
     vertical_slope: float = math.tan(math.radians(2.5))
     """... or if they lean less than this from the vertical, a tangent."""
-    vertical_open: Annotated[bool, key()] = True
-    """Or if they go on to the last beam of the line, so that nothing tells where they end.
-
-    Published: false.
-    """
     straight_points: int = 16
     """Fewer points do not show whether a run is straight or upright: their height decides."""
     straight_extent_m: Annotated[float, key(0, 1e3)] = 0.25
@@ -474,22 +323,15 @@ class DividerThresholds(NamedTuple):
     """... or as many times the range noise."""
     straight_slope: float = math.tan(math.radians(1.5))
     """Upright is what leans less than this from the vertical, a tangent."""
-    relief_m: Annotated[float, key(0, 10)] = 0.03
-    """Runs of vertical and horizontal points of 1.2 m height, as upright, but only this straight
-    (rms), are cut out too: walls with reliefs; published: 0, none is [m]."""
     lean_sigmas: float = 2.0
     """Both leans may be larger by so many standard deviations of a lean, as the range noise makes
     it."""
     lean_noise_m: float = 0.0
     """``lean_sigmas`` in metres."""
-    vertical_break_m: Annotated[float, key(0, 1e4)] = 0.5
-    """A change of horizontal distance from one return to the next that ends such a run [m]."""
 
     def at_noise(self, range_noise_m: float) -> DividerThresholds:
         """Return lengths at a standard deviation of the range [m]; infinity = switched off by 0."""
         return self._replace(
-            change_chord_m=max(self.change_chord_m, self.change_chord_sigmas * range_noise_m),
-            under_m=max(self.under_m, self.under_sigmas * range_noise_m),
             flat_step_m=self.flat_step_m or math.inf,
             vertical_top_m=self.vertical_top_m or -math.inf,
             straight_extent_m=self.straight_extent_m or math.inf,
@@ -514,25 +356,13 @@ class FourierThresholds(NamedTuple):
 
     Windows of cars look like foliage to it, and where shots are many
     car.most_foliage tells more; published: 0, all [angles]."""
-    band: Annotated[float, key(above=0, most=0.5)] = 0.125
-    """Lowest of the high frequencies, as a share of the number of angles (published)."""
     ratio: Annotated[float, key(above=0, below=1)] = 0.5
     """A high frequency above this share of the largest one tells vegetation (published)."""
-    min_points: Annotated[int, key(1, 1_000_000)] = 8
-    """An interval of fewer angles is no car [angles]."""
-    window: Annotated[int, key(0, 1_000_000)] = 64
-    """Test windows of at most this many angles, of which at least half must be those of a car.
-
-    Published: 0, the whole
-    interval, up to 2048 [angles]."""
-
-    def at_noise(self) -> FourierThresholds:
-        """Return a window of at most :data:`LONGEST_WINDOW` angles."""
-        return self._replace(window=min(self.window or LONGEST_WINDOW, LONGEST_WINDOW))
-
-
-LONGEST_WINDOW = 2048
-"""Angles of a window at most: the cost of a spectrum grows with their square."""
+    band: float = 0.125
+    """Lowest of the high frequencies, as a share of the number of angles (published)."""
+    window: int = 2048
+    """Longer intervals are tested in windows, of which at least half must be those of a car: the
+    cost of a spectrum grows with the square of its length."""
 
 
 class CarThresholds(NamedTuple):
@@ -545,8 +375,6 @@ class CarThresholds(NamedTuple):
     most_foliage: Annotated[float, key(0, 1)] = 0.8
     """An interval of which the coarse classification calls more than this share vegetation is no
     car; published: 1, such intervals are cars too."""
-    min_points: Annotated[int, key(1, 100_000)] = 8
-    """An interval of fewer returns is no car; published: 1 [returns]."""
     ground_layer_m: Annotated[float, key(0, 10)] = 0.3
     """Horizontal points below this height over the ground are no car, even inside an interval.
 
@@ -555,9 +383,7 @@ class CarThresholds(NamedTuple):
 
     def at_noise(self, range_noise_m: float) -> CarThresholds:
         """Return lengths at a standard deviation of the range [m]."""
-        return self._replace(
-            dividers=self.dividers.at_noise(range_noise_m), fourier=self.fourier.at_noise()
-        )
+        return self._replace(dividers=self.dividers.at_noise(range_noise_m))
 
 
 class SequentialAngleThresholds(NamedTuple):
@@ -578,9 +404,6 @@ class SequentialAngleThresholds(NamedTuple):
     differs by less."""
     angles: ChordThresholds = ChordThresholds()
     coarse: CoarseThresholds = CoarseThresholds()
-    dense_vegetation: MarkovThresholds = MarkovThresholds(
-        means_deg=(-150.0, 0.0, 150.0), h0=(CALM, CALM, CALM), initial_h0=CALM
-    )
     ground: GroundThresholds = GroundThresholds()
     curb: CurbThresholds = CurbThresholds()
     car: CarThresholds = CarThresholds()
@@ -590,8 +413,6 @@ class SequentialAngleThresholds(NamedTuple):
         noise = self.angles.range_noise_m
         return self._replace(
             angles=self.angles.at_noise(),
-            coarse=self.coarse._replace(windows=self.coarse.windows.at_noise(noise)),
-            ground=self.ground.at_noise(noise),
-            curb=self.curb.at_noise(noise),
+            ground=self.ground._replace(range_noise_m=noise),
             car=self.car.at_noise(noise),
         )

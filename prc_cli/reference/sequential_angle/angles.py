@@ -25,10 +25,9 @@ def signed_angles(
     for row in range(len(range_m)):
         valid = [k for k in range(n_beams[row]) if np.isfinite(range_m[row, k])]
         points = xyz_m[row].astype(np.float64)
-        ranges = range_m[row].astype(np.float64)
         for i, k in enumerate(valid):
-            after = first_far(points, ranges, k, valid[i + 1 :], thresholds)
-            before = first_far(points, ranges, k, valid[:i][::-1], thresholds)
+            after = first_far(points, k, valid[i + 1 :], thresholds)
+            before = first_far(points, k, valid[:i][::-1], thresholds)
             if after is None:
                 continue
             chord = points[after] - points[k]
@@ -41,7 +40,6 @@ def signed_angles(
 
 def first_far(
     points: F64,
-    ranges: F64,
     here: int,
     others: list[int],
     thresholds: ChordThresholds,
@@ -50,11 +48,6 @@ def first_far(
     for shot in others[: thresholds.max_shots]:
         chord = points[shot] - points[here]
         length_squared = float(chord @ chord)
-        if thresholds.depth_m > 0:
-            # a step of the range counts only beyond the depth
-            depth = ranges[shot] - ranges[here]
-            counted_depth = max(abs(depth) - thresholds.depth_m, 0.0)
-            length_squared += counted_depth**2 - depth**2
         if chord.any() and length_squared >= thresholds.least_chord_m**2:
             return shot
     return None

@@ -31,7 +31,7 @@ def stable_intervals(signed_deg: F32, intervals: I32, thresholds: FourierThresho
         angles = signed_deg[row, first : last + 1].astype(np.float64)
         angles = angles[~np.isnan(angles)]
         n = len(angles)
-        if n < max(thresholds.min_points, 1):
+        if n == 0:
             decisions.append(False)
             continue
         if 0 < thresholds.longest < n:
@@ -49,7 +49,6 @@ def stable_intervals(signed_deg: F32, intervals: I32, thresholds: FourierThresho
 
 H = int(Surface.HORIZONTAL)
 V = int(Surface.VERTICAL)
-T = int(Surface.VEGETATION)
 """Surface codes."""
 
 
@@ -237,17 +236,11 @@ class Line:
     ground_m: float
 
     def searched(self, thresholds: DividerThresholds) -> list[int]:
-        """Return the returns up to the first one that is too high, or neither H nor V.
-
-        T' in windows is left out.
-        """
+        """Return the returns up to the first one that is too high, or neither H nor V."""
         returns = [k for k in range(len(self.surface)) if not np.isnan(self.distance[k])]
         beams: list[int] = []
         while returns:
             k = returns[0]
-            if self.surface[k] == T and thresholds.glass_m > 0 and self.is_begun(beams, thresholds):
-                returns = self.behind_glass(returns, beams[-1], thresholds)
-                continue
             if self.surface[k] not in (H, V):
                 break
             more = [k]
@@ -259,30 +252,6 @@ class Line:
             returns = returns[len(more) :]
         return beams
 
-    def is_begun(self, beams: list[int], thresholds: DividerThresholds) -> bool:
-        """Whether there was a change from H to V, or a V at the start."""
-        codes = self.surface[beams].tolist()
-        return (H, V) in pairwise(codes) or (thresholds.from_start and codes[:1] == [V])
-
-    def behind_glass(
-        self, returns: list[int], last: int, thresholds: DividerThresholds
-    ) -> list[int]:
-        """Return those of the returns, T' first, that follow the window of a car.
-
-        Empty = it is none.
-        """
-        n_window = 0
-        while n_window < len(returns) and self.surface[returns[n_window]] == T:
-            n_window += 1
-        following = returns[n_window:]
-        if not following or self.surface[following[0]] not in (H, V):
-            return []
-        is_near = self.distance[following[0]] <= self.distance[last] + thresholds.glass_m
-        top_m = self.ground_m + thresholds.height_m
-        is_low = not any(self.height[k] > top_m for k in returns[: n_window + 1])
-        is_on_door = self.height[last] >= self.ground_m + 0.6
-        return following if is_near and is_low and is_on_door else []
-
     def side_of_van(
         self, returns: list[int], last: list[int], thresholds: DividerThresholds
     ) -> list[int]:
@@ -293,10 +262,7 @@ class Line:
         if not last or self.surface[last[0]] != V:
             return []
         n_side = 0
-        for before, k in pairwise([*last, *returns]):
-            step_m = abs(self.distance[k] - self.distance[before])
-            if self.surface[k] != V or step_m > thresholds.vertical_break_m:
-                break
+        while n_side < len(returns) and self.surface[returns[n_side]] == V:
             n_side += 1
         side = returns[:n_side]
         goes_on = n_side == len(returns) and returns[-1] == len(self.surface) - 1
@@ -330,10 +296,7 @@ def first_ground(
             )
             if stretch is None:
                 continue
-            k = run.start + stretch[0]
-            lowest_before = min(height[t1:k], default=np.inf)
-            if not height[k] - lowest_before > thresholds.flat_above_m:
-                return k, run.start + stretch[1]
+            return run.start + stretch[0], run.start + stretch[1]
     return None
 
 
@@ -342,20 +305,6 @@ def is_too_high(heights: F64, ground_m: float, thresholds: DividerThresholds) ->
     return bool(
         np.ptp(heights) >= thresholds.vertical_extent_m
         and not heights.max() <= ground_m + thresholds.vertical_top_m
-    )
-
-
-def is_open(
-    beams: list[int],
-    heights: F64,
-    n: int,
-    thresholds: DividerThresholds,
-) -> bool:
-    """Tell whether a high vertical run goes on to the last beam."""
-    return bool(
-        thresholds.vertical_open
-        and beams[-1] == n - 1
-        and np.ptp(heights) >= thresholds.vertical_extent_m
     )
 
 
@@ -407,90 +356,23 @@ def cut_verticals(
         height = xyz_m[row, beams, 2].astype(np.float64)
         is_kept = np.array([k <= last for k in beams], np.bool_)
 
-        # vertical runs end where the line breaks
-        breaks = np.flatnonzero(np.abs(np.diff(distance)) > thresholds.vertical_break_m) + 1
-        vertical: list[tuple[int, int]] = []
-        for part_first, part_stop in pairwise([0, *breaks.tolist(), len(beams)]):
-            for begin, end in runs(codes[part_first:part_stop], V):
-                vertical.append((part_first + begin, part_first + end))
-        for begin, end in vertical:
+        for begin, end in runs(codes, V):
             run = slice(begin, end + 1)
-            if (
-                is_too_high(height[run], float(ground_m[row]), thresholds)
-                or is_open(beams[run], height[run], n_beams[row], thresholds)
-                or is_straight(distance[run], height[run], thresholds)
+            if is_too_high(height[run], float(ground_m[row]), thresholds) or is_straight(
+                distance[run], height[run], thresholds
             ):
                 is_kept[run] = False
-        for begin, end in reliefs(codes, distance, height, beams.index(last), thresholds):
-            is_kept[begin : end + 1] = False
         for begin, end in runs(is_kept.astype(int).tolist(), 1):
             pieces.append((row, beams[begin], beams[end]))
     return np.array(pieces, np.int32).reshape(-1, 3)
 
 
-def reliefs(
-    codes: list[int],
-    distance: F64,
-    height: F64,
-    last: int,
-    thresholds: DividerThresholds,
-) -> list[tuple[int, int]]:
-    """Return first and last position of rough walls: H and V, high, upright, nearly straight."""
-    walls: list[tuple[int, int]] = []
-    begin = 0
-    while begin <= last and thresholds.relief_m > 0:
-        run = relief_run(codes, distance, begin, thresholds)
-        extent_m = np.ptp(height[run]) if run else 0.0
-        is_high = extent_m >= thresholds.vertical_extent_m and extent_m > 0
-        if (
-            len(run) >= thresholds.straight_points
-            and is_high
-            and is_upright(
-                distance[run],
-                height[run],
-                thresholds.relief_m,
-                thresholds.straight_slope,
-                thresholds,
-            )
-        ):
-            walls.append((begin, run[-1]))
-        begin = max([begin, *run]) + 1
-    return walls
-
-
-def relief_run(
-    codes: list[int],
-    distance: F64,
-    begin: int,
-    thresholds: DividerThresholds,
-) -> list[int]:
-    """Return the points of H and V from one on that are each near the one before."""
-    if codes[begin] not in (H, V):
-        return []
-    run = [begin]
-    while True:
-        stop = min(run[-1] + 2 + thresholds.return_points, len(codes))
-        near = [
-            k
-            for k in range(run[-1] + 1, stop)
-            if codes[k] in (H, V) and abs(distance[k] - distance[run[-1]]) <= 0.1
-        ]
-        if not near:
-            return run
-        run.append(near[0])
-
-
-def firm_intervals(
-    surface: U8,
-    intervals: I32,
-    most: float,
-    least: int,
-) -> Mask:
+def firm_intervals(surface: U8, intervals: I32, most: float) -> Mask:
     """Mark intervals without much foliage; see :func:`car_loops.firm_intervals`."""
     firm = []
     for row, first, last in intervals.tolist():
         codes = surface[row, first : last + 1]
         green = np.count_nonzero(codes == Surface.VEGETATION)
         n = np.count_nonzero(codes != Surface.MISSING)
-        firm.append(n >= least and green <= most * n)
+        firm.append(green <= most * n)
     return np.array(firm, np.bool_)

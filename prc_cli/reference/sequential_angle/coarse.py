@@ -16,7 +16,6 @@ from prc_cli.methods.sequential_angle.thresholds import (
     Matrix,
     SurfaceThresholds,
     Three,
-    WindowThresholds,
 )
 
 
@@ -30,14 +29,13 @@ def hmm_cusum(values: F32, thresholds: MarkovThresholds) -> Mask:
         h0 = Model(thresholds.h0, thresholds.initial_h0)
         h1 = Model(thresholds.h1, thresholds.initial_h1)
         test = Test(densities, h0, h1, thresholds)
-        regions = confirmed_regions(samples, test) if thresholds.sprt else regions_both_ways(test)
+        regions = confirmed_regions(samples, test)
         for start, stop in regions:
             marked[row, columns[start : stop + 1]] = True
-        if thresholds.sprt:
-            for (_, stop), (start, _) in pairwise(regions):
-                gap = columns[stop + 1 : start]
-                if len(gap) < thresholds.merge_gap:
-                    marked[row, gap] = True
+        for (_, stop), (start, _) in pairwise(regions):
+            gap = columns[stop + 1 : start]
+            if len(gap) < thresholds.merge_gap:
+                marked[row, gap] = True
     return marked
 
 
@@ -67,25 +65,6 @@ class Test(NamedTuple):
     h0: Model
     h1: Model
     thresholds: MarkovThresholds
-
-
-def regions_both_ways(test: Test) -> list[tuple[int, int]]:
-    """Return the regions of model 1.
-
-    From a change to it until a change back, both found by Page's test.
-    """
-    log_density, h0, h1, thresholds = test
-    regions: list[tuple[int, int]] = []
-    now = 0
-    while (change := page_test(log_density, h0, h1, now, thresholds.threshold)) is not None:
-        start = change.onset if thresholds.backdate else change.alarm
-        back = page_test(log_density, h1, h0, change.alarm + 1, thresholds.threshold_back)
-        if back is None:
-            return [*regions, (start, len(log_density) - 1)]
-        end = back.onset if thresholds.backdate else back.alarm
-        regions.append((start, end - 1))
-        now = back.alarm + 1
-    return regions
 
 
 def confirmed_regions(samples: F64, test: Test) -> list[tuple[int, int]]:
@@ -193,8 +172,6 @@ def surface_image(
                 labels.update(dict.fromkeys(run, Surface.VEGETATION))
                 continue
             tilt = np.abs(line[run].astype(np.float64))
-            if thresholds.fold:
-                tilt = np.minimum(tilt, 180.0 - tilt)
             labels.update(zip(run, horizontal_or_vertical(tilt, thresholds), strict=True))
         # shots without an angle have the label before them
         label = labels[beams[0]] if beams else Surface.UNDECIDED
@@ -207,10 +184,9 @@ def surface_image(
 
 def horizontal_or_vertical(tilt: F64, thresholds: SurfaceThresholds) -> list[Surface]:
     """Label the samples of a run by CUSUM tests for a change of their mean, one a direction."""
-    is_vertical = not thresholds.start_horizontal and bool(np.median(tilt[:5]) < 45.0)
+    is_vertical = False
     labels: list[Surface] = []
     s = 0.0
-    n_since_reset = 0
     for y in tilt:
         if is_vertical:
             s += y - thresholds.drift_horizontal_deg
@@ -221,14 +197,8 @@ def horizontal_or_vertical(tilt: F64, thresholds: SurfaceThresholds) -> list[Sur
         if has_changed:
             is_vertical = not is_vertical
             s = 0.0
-        label = Surface.VERTICAL if is_vertical else Surface.HORIZONTAL
-        if has_changed and thresholds.backdate:
-            labels[len(labels) - n_since_reset :] = [label] * n_since_reset
-        labels.append(label)
-        n_since_reset += 1
-        if s <= 0:
-            s = 0.0
-            n_since_reset = 0
+        s = max(s, 0.0)
+        labels.append(Surface.VERTICAL if is_vertical else Surface.HORIZONTAL)
     return labels
 
 
@@ -236,89 +206,3 @@ def runs(beams: list[int], vegetation: Mask) -> list[list[int]]:
     """Cut beams where vegetation begins or ends."""
     cuts = np.flatnonzero(np.diff(vegetation[beams].astype(int))) + 1
     return [list(run) for run in np.split(np.array(beams, int), cuts) if len(run)]
-
-
-def upright_layers(
-    surface: U8,
-    horizontal_m: F32,
-    n_beams: I32,
-    thresholds: WindowThresholds,
-) -> U8:
-    """Find facades behind glass; see :func:`coarse_loops.upright_layers`."""
-    image = surface.copy()
-    for row, codes in enumerate(surface):
-        returns = [k for k in range(n_beams[row]) if codes[k] != Surface.MISSING]
-        is_green = codes == Surface.VEGETATION
-        for run in runs(returns, is_green):
-            if not is_green[run[0]] or len(run) < thresholds.min_points:
-                continue
-            # the fullest layer, and the fuller one of those before and behind it
-            distances = np.sort(horizontal_m[row, run].astype(np.float64))
-            first, stop = fullest(distances, thresholds.width_m)
-            first_before, stop_before = fullest(distances[:first], thresholds.width_m)
-            first_behind, stop_behind = fullest(distances[stop:], thresholds.width_m)
-            n_inside = stop - first + max(stop_before - first_before, stop_behind - first_behind)
-            if n_inside > thresholds.share * len(run):
-                image[row, run] = Surface.VERTICAL
-    return image
-
-
-def fullest(distances: F64, width_m: float) -> tuple[int, int]:
-    """Return where the fullest layer of sorted distances begins and ends.
-
-    The first one of several.
-    """
-    first = 0
-    most = 0
-    for i, distance in enumerate(distances.tolist()):
-        # of equal distances, the first begins a layer with all of them
-        is_in_layer = (distances >= distance) & (distances - distance <= width_m)
-        n_in_layer = int(np.count_nonzero(is_in_layer))
-        if n_in_layer > most:
-            first = i
-            most = n_in_layer
-    return first, first + most
-
-
-def behind_walls(
-    surface: U8,
-    xyz_m: F32,
-    horizontal_m: F32,
-    n_beams: I32,
-    thresholds: WindowThresholds,
-) -> U8:
-    """Find walls among leaves; see :func:`coarse_loops.behind_walls`."""
-    image = surface.copy()
-    for row, codes in enumerate(surface):
-        beams = [k for k in range(n_beams[row]) if codes[k] != Surface.MISSING]
-        distance = horizontal_m[row, beams].astype(np.float64)
-        height = xyz_m[row, beams, 2].astype(np.float64)
-        is_vertical = codes[beams] == Surface.VERTICAL
-        is_cut = ~is_vertical[1:] | ~is_vertical[:-1]
-        is_cut |= np.abs(np.diff(distance)) > thresholds.break_m
-        walls = []
-        for part in np.split(np.arange(len(beams)), np.flatnonzero(is_cut) + 1):
-            is_run = len(part) > 0 and is_vertical[part[0]]
-            if is_run and is_wall(distance[part], height[part], thresholds):
-                walls.append(part)
-        for i in np.flatnonzero(codes[beams] == Surface.VEGETATION).tolist():
-            for wall in walls:
-                middle = 0.5 * (distance[wall].min() + distance[wall].max())
-                behind_m = distance[i] - middle
-                is_below = wall[0] > i
-                is_on_wall = abs(behind_m) <= thresholds.wall_m
-                if is_on_wall or (is_below and behind_m >= -thresholds.front_m):
-                    image[row, beams[i]] = Surface.VERTICAL
-    return image
-
-
-def is_wall(distance: F64, height: F64, thresholds: WindowThresholds) -> bool:
-    """Tell whether a vertical run is high, straight and upright."""
-    extent_m = np.ptp(height)
-    if extent_m < thresholds.wall_extent_m or extent_m == 0:
-        return False
-    up = height - height[0]
-    lean, offset = np.polyfit(up, distance - distance[0], 1)
-    residual = distance - distance[0] - lean * up - offset
-    is_straight = np.sqrt(np.mean(residual**2)) <= thresholds.straight_m
-    return bool(abs(lean) <= thresholds.slope and is_straight)

@@ -153,45 +153,24 @@ class Row:
         """Return the beams behind one that are not missing."""
         return [beam for beam, s in enumerate(self.surface) if beam > after and s != MISSING]
 
-    def behind(self, points: list[int], after: int) -> int | None:
-        """Return the next beam of a surface, None where it ends.
-
-        A few points that are not horizontal are passed over, if two behind them are on its line.
-        """
+    def behind(self, after: int) -> int | None:
+        """Return the next beam of a surface, None where it ends."""
         valid = self.valid(after)
-        n_passed = 0
-        while n_passed < len(valid) and self.surface[valid[n_passed]] != HORIZONTAL:
-            n_passed += 1
-        if n_passed == 0:
-            return valid[0] if valid else None
-        next_two = valid[n_passed : n_passed + 2]
-        if n_passed > self.thresholds.bridge or len(next_two) < 2:
-            return None
-        for beam in next_two:
-            is_horizontal = self.surface[beam] == HORIZONTAL
-            if not is_horizontal or not self.fits(points, beam, self.thresholds.bridge_height_m):
-                return None
-        return next_two[0]
-
-    def jumps(self, before: list[int], beam: int) -> bool:
-        """Tell whether a point lies at another height than the points before it."""
-        jump_m = self.thresholds.jump_m
-        rise_m = abs(self.xyz[beam, 2] - self.xyz[before[-1], 2])
-        return bool(rise_m > jump_m) and not self.fits(before, beam, jump_m)
+        return valid[0] if valid and self.surface[valid[0]] == HORIZONTAL else None
 
     def potential(self, start: int) -> tuple[list[int], float]:
         """Return the first potential ground from a beam on, and the bandwidth at its end."""
         points: list[int] = []
         last = start - 1
         while True:
-            beam = self.behind(points, last) if points else None
+            beam = self.behind(last) if points else None
             if beam is None:  # a new run
                 later = [k for k in self.valid(last) if self.surface[k] == HORIZONTAL]
                 if not later:
                     return [], math.nan
                 points = []
                 beam = later[0]
-            points = [beam] if points and self.jumps(points, beam) else [*points, beam]
+            points = [*points, beam]
             last = beam
             if len(points) == self.thresholds.first_run:
                 collinear, b = self.one_line(points)
@@ -217,8 +196,8 @@ class Row:
             if first and not has_one_mode:
                 return [], b
             first = False
-            beam = self.behind(points, points[-1])
-            if not has_one_mode or beam is None or self.jumps(points, beam):
+            beam = self.behind(points[-1])
+            if not has_one_mode or beam is None:
                 return points[:-2], b
             points = [*points, beam]
 
@@ -246,25 +225,16 @@ class Row:
         line_z = mean_z + slope * (self.horizontal[beam] - mean_x)
         return bool(abs(self.xyz[beam, 2] - line_z) <= guard)
 
-    def grown(self, beams: list[int], new_beams: list[int], b: float) -> list[int]:
-        """Add potential ground to the ground, and grow it over the next horizontal points."""
-        mode = self.mode(new_beams, b)
-        grown = beams + new_beams
-        while (beam := self.behind(grown, grown[-1])) is not None:
+    def grown(self, beams: list[int], b: float) -> list[int]:
+        """Grow ground over the next horizontal points."""
+        mode = self.mode(beams, b)
+        grown = list(beams)
+        while (beam := self.behind(grown[-1])) is not None:
             collinear = np.isnan(self.phihat[beam]) or abs(self.phihat[beam] - mode) <= b
             if not collinear or not self.fits(grown, beam, self.thresholds.growth_height_m):
                 break
             grown.append(beam)
         return grown
-
-    def labels_of_run(self, after: int) -> list[int]:
-        """Return the labels up to too many successive points that are not horizontal."""
-        behind = self.valid(after)
-        for horizontal, group in groupby(behind, key=lambda beam: self.surface[beam] == HORIZONTAL):
-            beams = list(group)
-            if not horizontal and len(beams) > self.thresholds.bridge:
-                return self.surface[: beams[0]]
-        return self.surface
 
 
 def potential_heights(
@@ -295,21 +265,10 @@ def to_bin(z: float) -> int:
     return int(np.clip(np.floor((z - LOWEST_M) * PER_METRE), 0, N_HEIGHTS - 1))
 
 
-def main_height(
-    heights: F64,
-    share: float,
-    roof_m: float,
-    roof_share: float,
-) -> tuple[int, float, I32, I32]:
+def main_height(heights: F64, share: float) -> tuple[float, I32]:
     """Find the main mode of heights; see :func:`ground_loops.main_height`."""
     bins = [to_bin(height) for height in heights]
-    n_heights, place_m = main_bin(bins, share, roof_m, roof_share)
-    return n_heights, place_m, np.array(bins, dtype=np.int32), histogram_of(bins)
-
-
-def floor_m(bins: float, width: int) -> float:
-    """Return a number of half or whole bins as a length, rounded down to bins of heights [m]."""
-    return math.floor(bins * width) / PER_METRE
+    return main_bin(bins, share), histogram_of(bins)
 
 
 def histogram_of(bins: list[int]) -> I32:
@@ -317,27 +276,13 @@ def histogram_of(bins: list[int]) -> I32:
     return np.bincount(np.array(bins, dtype=np.int64), minlength=N_HEIGHTS).astype(np.int32)
 
 
-def main_bin(
-    heights: list[int],
-    share: float,
-    roof_m: float,
-    roof_share: float,
-) -> tuple[int, float]:
-    """Return the number of binned heights in their main mode, and its place [m]."""
+def main_bin(heights: list[int], share: float) -> float:
+    """Return the place of the main mode of binned heights [m], NaN = no heights."""
     if not heights:
-        return 0, math.nan
+        return math.nan
     median = sorted(heights)[(len(heights) - 1) // 2]
     width = max(1, math.ceil(share * abs(median + 0.5 + LOWEST_M * PER_METRE) / EIGHTHS))
-    modes = grid_modes([height // width for height in heights])
-    main = main_mode(modes)
-    # a lower mode with enough heights is the ground, and the main one a roof over it
-    for mode in modes:
-        is_below_roof = floor_m(main.place - mode.place, width) >= roof_m
-        if mode.place == main.place or (
-            is_below_roof and mode.n_samples >= roof_share * main.n_samples
-        ):
-            main = mode
-            break
+    main = main_mode(grid_modes([height // width for height in heights]))
 
     # mean shift, from bin to bin until it stays in one
     centre = math.floor((main.place + 0.5) * width)
@@ -354,16 +299,9 @@ def main_bin(
         shift = moment / mass if mass else 0.0
         step = math.floor(shift + 0.5)
         if step == 0:
-            return main.n_samples, (centre + 0.5 + shift) / PER_METRE + LOWEST_M
+            return (centre + 0.5 + shift) / PER_METRE + LOWEST_M
         centre += step
-    return main.n_samples, (centre + 0.5) / PER_METRE + LOWEST_M
-
-
-def is_near(z: float, z_g: float, thresholds: GroundThresholds) -> bool:
-    """Tell whether a height agrees with that of the ground."""
-    off_m = abs(z - z_g)
-    within_share = off_m < thresholds.height_tolerance * abs(z_g)
-    return within_share or off_m < thresholds.height_tolerance_m
+    return (centre + 0.5) / PER_METRE + LOWEST_M
 
 
 def ground_rows(
@@ -378,26 +316,13 @@ def ground_rows(
     thresholds: GroundThresholds,
 ) -> tuple[Mask, F32, GroundState]:
     """Verify and grow ground (part b); see :func:`ground_loops.ground_rows`."""
-    memory = thresholds.memory_heights
     ground = np.zeros(surface.shape, dtype=bool)
     z_rows = np.full(len(surface), np.nan, dtype=np.float32)
-    if memory:
-        heights = state.recent.tolist()
-    else:
-        heights = np.repeat(np.arange(len(state.histogram)), state.histogram).tolist()
+    heights = np.repeat(np.arange(len(state.histogram)), state.histogram).tolist()
     z_g = state.z_g
-    side_m = state.side_m.tolist()
-
-    def ground_height() -> float:
-        _, place_m = main_bin(
-            heights, thresholds.height_bandwidth, thresholds.roof_m, thresholds.roof_share
-        )
-        return place_m
-
     for i in range(len(surface)):
         row = Row(surface[i], xyz[i], horizontal[i], phihat[i], ahead[i], n_beams[i], thresholds)
         to_count = i >= state.n_in_histogram_ahead
-        side = i % len(side_m)
         z_row = math.nan
         accepted = False
         first = potential.first[i]
@@ -407,51 +332,21 @@ def ground_rows(
         z_i = float(potential.height_m[i])
         while beams and not accepted:
             if to_count and len(heights) < thresholds.start_heights:
-                heights = [*heights, to_bin(z_i)][-memory:]
+                heights.append(to_bin(z_i))
                 to_count = False
-                if len(heights) >= thresholds.least_heights or not math.isnan(z_g):
-                    z_g = ground_height()
-            follows = abs(z_i - side_m[side]) < thresholds.follow_m
-            accepted = follows or is_near(z_i, z_g, thresholds)
+                z_g = main_bin(heights, thresholds.height_bandwidth)
+            accepted = abs(z_i - z_g) < thresholds.height_tolerance * abs(z_g)
             if accepted or math.isnan(z_row):
                 z_row = z_i
             if accepted:
-                side_m[side] = z_i
-                ground[i, grown_row(row, beams, b)] = True
+                ground[i, row.grown(beams, b)] = True
             else:
                 beams, b = row.potential(beams[-1] + 1)
                 z_i = row.height(beams) if beams else math.nan
         if to_count and not math.isnan(z_row):
-            heights = [*heights, to_bin(z_row)][-memory:]
-            if accepted or thresholds.renew_every:
-                z_g = ground_height()
+            heights.append(to_bin(z_row))
+            if accepted:
+                z_g = main_bin(heights, thresholds.height_bandwidth)
         z_rows[i] = z_g
-    new_state = GroundState(
-        histogram_of(heights),
-        np.array(heights if memory else [], dtype=np.int32),
-        z_g,
-        max(state.n_in_histogram_ahead - len(surface), 0),
-        np.array(side_m),
-    )
-    return ground, z_rows, new_state
-
-
-def grown_row(row: Row, beams: list[int], b: float) -> list[int]:
-    """Grow potential ground, and look for more of it in the rest of its run."""
-    points = row.grown([], beams, b)
-    row.surface = row.labels_of_run(points[-1])
-    if not row.thresholds.resume:
-        return points
-    more, b = row.potential(points[-1] + 1)
-    while more:
-        start = more[-1] + 1
-        guard = row.thresholds.growth_height_m
-        between = [k for k in row.valid(points[-1]) if k < more[0]]
-        is_unbroken = all(row.surface[k] == HORIZONTAL for k in between)
-        if not is_unbroken:
-            guard = min(guard, row.thresholds.bridge_height_m)
-        if row.fits(points, more[0], guard):
-            points = row.grown(points, more, b)
-            start = points[-1] + 1
-        more, b = row.potential(start)
-    return points
+    n_ahead = max(state.n_in_histogram_ahead - len(surface), 0)
+    return ground, z_rows, GroundState(histogram_of(heights), z_g, n_ahead)

@@ -120,46 +120,18 @@ def combine_classes(
     ground: Mask,
     car: Mask,
     horizontal_m: F32,
-    xyz_m: F32,
     curb: Mask,
     label_of: U8,
-    below_m: float,
 ) -> U8:
     """Combine layers; see :func:`labels_loops.combine_classes`."""
     labels: U8 = np.take(label_of, surface)
     labels[ground] = Label.GROUND
     for row, on_curb in enumerate(curb):
-        if not on_curb.any():
-            labels[row, car[row]] = Label.CAR
-            continue
-        distance = horizontal_m[row].astype(np.float64)
-        height = xyz_m[row, :, 2].astype(np.float64)
-        curb_distance = distance[on_curb].min()
-        is_near_edge = on_curb & (distance - curb_distance <= 0.3)
-        curb_top = height[is_near_edge].max()
-        for car_run in runs_of_cars(surface[row], car[row]):
-            # a car that stands higher than the curb, behind it, is none
-            foot = min(height[car_run].tolist())
-            for k in range(car_run[0] - 1, -1, -1):
-                if surface[row, k] == Surface.HORIZONTAL and not car[row, k]:
-                    foot = min([*height[car_run].tolist(), float(height[k])])
-                    break
-            for k in car_run:
-                if foot < curb_top - below_m or not distance[k] > curb_distance:
-                    labels[row, k] = Label.CAR
+        # cars behind the nearest point of a curb are none
+        nearest = np.min(horizontal_m[row, on_curb], initial=np.inf)
+        labels[row, car[row] & ~(horizontal_m[row] > nearest)] = Label.CAR
     labels[curb] = Label.CURB
     return labels
-
-
-def runs_of_cars(surface: U8, car: Mask) -> list[list[int]]:
-    """Return runs of car points of a line with only missing points between them."""
-    car_runs: list[list[int]] = [[]]
-    for k, code in enumerate(surface):
-        if car[k]:
-            car_runs[-1].append(k)
-        elif code != Surface.MISSING and car_runs[-1]:
-            car_runs.append([])
-    return [run for run in car_runs if run]
 
 
 def mark_beyond(range_m: F32, labels: U8) -> tuple[U8, int]:

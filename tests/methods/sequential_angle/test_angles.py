@@ -11,13 +11,11 @@ import pytest
 from numpy.random import Generator
 
 from prc_cli.core.config import flatten
-from prc_cli.core.types import F64, U8
+from prc_cli.core.types import F64
 from prc_cli.methods.sequential_angle import angles_loops as kernel_module
 from prc_cli.methods.sequential_angle.angles import signed_angles
-from prc_cli.methods.sequential_angle.coarse import without_windows
-from prc_cli.methods.sequential_angle.lines import VerticalLines
 from prc_cli.methods.sequential_angle.pipeline import SequentialAngleParams
-from prc_cli.methods.sequential_angle.thresholds import ChordThresholds, WindowThresholds
+from prc_cli.methods.sequential_angle.thresholds import ChordThresholds
 from prc_cli.reference.sequential_angle import angles as oracle_angles
 from tests.methods.sequential_angle.scenes import lines_through, made
 
@@ -27,7 +25,7 @@ HELPERS: Any = kernel_module
 
 def plain(**values: float) -> ChordThresholds:
     """Without the readings that are ours, so that every rule is tested by itself."""
-    return made(ChordThresholds, **{"least_chord_m": 0.0, **values}).at_noise()
+    return made(ChordThresholds, **values).at_noise()
 
 
 STEP = np.deg2rad(0.1)
@@ -55,10 +53,9 @@ def test_chords_bridge_missing_shots_and_short_steps() -> None:
         True,
     ]
     # a chord is as long as the shortest allowed or longer
-    whole = plain(range_noise_m=0.0625, chord_depth_sigmas=0)
+    whole = plain(range_noise_m=0.0625)
     angles = signed_angles(lines_through([(4, -2), (4.25, -2), (4.5, -2)]), whole)
     assert angles.ahead[0].tolist() == [1, 2, -1]
-    assert plain(range_noise_m=0.5, chord_depth_sigmas=3).depth_m == 1.5
 
 
 def straight_line(rng: Generator) -> tuple[F64, F64, float]:
@@ -102,55 +99,6 @@ def test_line_angle_is_the_angle_of_chord_and_beam(rng: Generator) -> None:
     assert 50 < n_blunt < 150
 
 
-T = 1
-H = 2
-V = 3
-
-
-def label(
-    x: F64,
-    z: F64,
-    codes: list[int],
-    params: WindowThresholds | None = None,
-    noise_m: float = 0.005,
-) -> list[int]:
-    xyz = np.stack([x, 0 * x, z], axis=-1)[None].astype(np.float32)
-    beams = np.arctan2(x, -z)[None]
-    lines = VerticalLines(
-        np.linalg.norm(xyz, axis=-1), xyz, xyz[..., 0].copy(), np.array([len(x)], np.int32), beams
-    )
-    surface: U8 = np.array([codes], np.uint8)
-    return without_windows(surface, lines, (params or WindowThresholds()).at_noise(noise_m))[
-        0
-    ].tolist()
-
-
-@pytest.mark.parametrize("noise_m", [0.001, 0.005])
-def test_panes_and_rooms_are_vertical_and_leaves_are_not(noise_m: float) -> None:
-    rng = np.random.default_rng(1)
-    z = np.linspace(1.0, 2.5, 60)
-    window = np.where(rng.random(60) < 0.4, 9.0, 9.5) + rng.normal(0, noise_m, 60)
-    leaves = 9.0 + rng.exponential(1.4, 60)
-    hedge = 9.0 + rng.exponential(0.17, 60)
-    assert label(window, z, [T] * 60, noise_m=noise_m) == [V] * 60
-    assert (
-        label(leaves, z, [T] * 60, noise_m=noise_m)
-        == label(hedge, z, [T] * 60, noise_m=noise_m)
-        == [T] * 60
-    )
-    assert label(window, z, [T] * 60, made(WindowThresholds, share=1.0), noise_m) == [T] * 60
-    assert label(window[:7], z[:7], [T] * 7) == [T] * 7
-
-
-def test_what_is_behind_a_wall_below_it_is_a_room_and_what_is_over_it_may_be_a_tree() -> None:
-    z = np.linspace(0.0, 2.0, 40)
-    far = 12.4 + np.linspace(0.0, 3.0, 20)
-    under = np.concatenate([far, np.full(20, 12.0)])
-    over = under[::-1].copy()
-    assert label(under, z, [T] * 20 + [V] * 20) == [V] * 40
-    assert label(over, z, [V] * 20 + [T] * 20) == [V] * 20 + [T] * 20
-
-
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "sequential_angle.md").read_text(
     encoding="utf-8"
 )
@@ -162,7 +110,7 @@ def documented() -> dict[str, str]:
 
     a row a table, cells of "`key` default (note)".
     """
-    section = PAGE[PAGE.index("## Constants") : PAGE.index("## The published constants")]
+    section = PAGE[PAGE.index("## Constants") : PAGE.index("## Beside Table 1")]
     published = {}
     for table, cells in re.findall(r"^\| (?:`([a-z_.]+)`)? ?\|(.*)\|$", section, re.MULTILINE):
         for key, default in re.findall(r"`([a-z0-9_]+)`,? ([^;|(`]*)", cells):

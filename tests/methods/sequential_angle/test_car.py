@@ -71,14 +71,10 @@ PLAIN = {
     "return_points": 0,
     "from_start": False,
     "flat_step_m": 0.0,
-    "flat_above_m": 1000.0,
     "tall_m": 0.0,
-    "glass_m": 0.0,
     "vertical_top_m": 0.0,
-    "vertical_open": False,
     "straight_extent_m": 0.0,
     "lean_sigmas": 0.0,
-    "relief_m": 0.0,
 }
 """Without the readings that are ours, so that every rule is tested by itself."""
 
@@ -98,7 +94,7 @@ def find_intervals(
     noise_m: float = NOISE_M,
 ) -> I32:
     triggers = np.full(len(seen.surface), trigger, np.int32)
-    literal = max(params.change_chord_m, params.change_chord_sigmas * noise_m) == 0
+    literal = params.change_chord_m == 0
     signed = signed_angles(seen.lines) if literal else np.full_like(seen.lines.range_m, np.nan)
     return dividers(
         seen.lines, seen.surface, signed, triggers, seen.z_g, params.at_noise(noise_m)

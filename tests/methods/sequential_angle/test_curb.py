@@ -19,26 +19,18 @@ from tests.methods.sequential_angle.scenes import NOISE_M, Scene, V, made, scan,
 
 
 def plain(**values: Any) -> CurbThresholds:
-    return made(CurbThresholds, **{"min_height_m": 0.0, **values}).at_noise(NOISE_M)
+    return made(CurbThresholds, **{"min_height_m": 0.0, "grouping_m": 0.3, **values})
 
 
 PARAMS = plain()
 
 
 def possible(scene: Scene, params: CurbThresholds = PARAMS) -> I32:
-    potential = potential_ground(
-        scene.lines, scene.surface, scene.phihat, scene.ahead, GroundThresholds().at_noise(NOISE_M)
-    )
-    state = initial_ground(potential.height_m, GroundThresholds())
-    mask, z_g, _ = ground(
-        scene.lines,
-        scene.surface,
-        scene.phihat,
-        scene.ahead,
-        potential,
-        state,
-        GroundThresholds().at_noise(NOISE_M),
-    )
+    limits = GroundThresholds(range_noise_m=NOISE_M)
+    rows = (scene.lines, scene.surface, scene.phihat, scene.ahead)
+    potential = potential_ground(*rows, limits)
+    state = initial_ground(potential.height_m, limits)
+    mask, z_g, _ = ground(*rows, potential, state, limits)
     return possible_curbs(scene.lines, scene.surface, mask, z_g, params)
 
 

@@ -18,7 +18,6 @@ from tests.methods.sequential_angle.scenes import (
     H,
     Scene,
     Segment,
-    V,
     made,
     scan,
     street,
@@ -26,7 +25,7 @@ from tests.methods.sequential_angle.scenes import (
 
 
 def limits(**values: Any) -> GroundThresholds:
-    return made(GroundThresholds, **{"start_heights": 50, **values}).at_noise(NOISE_M)
+    return made(GroundThresholds, **{"start_heights": 50, "range_noise_m": NOISE_M, **values})
 
 
 PARAMS = limits()
@@ -78,28 +77,6 @@ def test_road_is_ground_over_slopes_and_missing_shots(slope: float, missing: flo
     assert np.all(np.abs(z_g - ROAD_Z) < (0.35 if slope else 0.03))
 
 
-def test_ground_does_not_climb_a_step_that_no_vertical_point_shows() -> None:
-    scene = scan([street()] * 3, n=1000, noise_m=0.0)
-    step = int(np.flatnonzero(scene.surface[0] == V)[0])
-    flat = np.where(scene.surface == V, np.uint8(0), scene.surface)  # curb and wall missing
-    phihat = np.where(
-        flat == H, np.float32(90.0), np.float32(np.nan)
-    )  # which does not see the step
-    state = initial_ground(np.full(3, ROAD_Z), PARAMS)
-
-    def climbed(**values: float) -> bool:
-        params = made(
-            GroundThresholds, **{"resume": False, "bandwidth_sigmas": 0, **values}
-        ).at_noise(NOISE_M)
-        mask, _, _ = follow(scene.lines, flat, phihat, scene.ahead, state, params)
-        assert mask[:, : step - 5].any(axis=1).all()
-        return bool(mask[:, step:].any())
-
-    assert not climbed()
-    assert climbed(jump_m=1000.0)
-    assert climbed(growth_height_m=0.5)  # potential ground ends at the jump, and growth takes it
-
-
 def plane(slope_deg: float, turned_deg: float = 0.0) -> Scene:
     """Half-lines all around on a slope, from 1 m to 15 m."""
     rise = np.tan(np.deg2rad(slope_deg)) * np.cos(np.deg2rad(np.arange(0, 360, 4) + turned_deg))
@@ -107,7 +84,7 @@ def plane(slope_deg: float, turned_deg: float = 0.0) -> Scene:
     return scan(far, n=300)
 
 
-@pytest.mark.parametrize("slope", [0.5, 1.0, 3.0, 5.0])
+@pytest.mark.parametrize("slope", [0.5, 1.0, 3.0])
 def test_a_slope_is_ground_all_around_whatever_the_first_line(slope: float) -> None:
     for turned in (0.0, 90.0, 200.0):
         scene = plane(slope, turned)
@@ -123,7 +100,7 @@ def test_a_slope_is_ground_all_around_whatever_the_first_line(slope: float) -> N
 def test_cuts_change_nothing(n_sides: int) -> None:
     profiles = [hedge() if i % 7 == 0 else street(car=i % 5 == 0) for i in range(70)]
     scene = scan(profiles, n=250, n_sides=n_sides, missing=0.1)
-    params = limits(start_heights=20, memory_heights=30)
+    params = limits(start_heights=20)
     heights, whole, z_whole, last = find(scene, params)
     rng = np.random.default_rng(2)
     for _ in range(4):
@@ -140,5 +117,4 @@ def test_cuts_change_nothing(n_sides: int) -> None:
         np.testing.assert_array_equal(np.concatenate([mask for mask, _ in parts]), whole)
         np.testing.assert_array_equal(np.concatenate([z_g for _, z_g in parts]), z_whole)
         np.testing.assert_array_equal(state.histogram, last.histogram)
-        np.testing.assert_array_equal(state.recent, last.recent)
         assert state.z_g == last.z_g

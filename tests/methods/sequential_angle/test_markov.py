@@ -19,7 +19,6 @@ from prc_cli.methods.sequential_angle import coarse_loops as kernel_module
 from prc_cli.methods.sequential_angle.car import suspicious
 from prc_cli.methods.sequential_angle.coarse import hmm_cusum
 from prc_cli.methods.sequential_angle.thresholds import (
-    UNIFORM,
     MarkovThresholds,
     Matrix,
     Row,
@@ -36,8 +35,6 @@ SCRIPT = made(
     means_deg=(90, 15, -90),
     sigmas_deg=(12, 2, 2),
     h0=((0.9, 0.1, 0), (0.1, 0.9, 0), (0, 0, 1)),
-    initial_h0=UNIFORM,
-    sprt=True,
     backdate=False,
 )
 """Published program text of the same group: matrices, spreads, end of a region."""
@@ -152,10 +149,8 @@ def test_first_alarm_is_where_the_likelihoods_of_the_stretch_say(rng: Generator)
             {"h0": [[0.9, 0.1, 0.1], [0.1, 0.9, 0.0], [0.0, 0.0, 1.0]]},
             "h0.*add up to 1, found a sum of 1.1",
         ),
-        ({"initial_h0": [0.5, 0.5, 0.5]}, "initial_h0.*add up to 1"),
-        ({"h1": [[1.0, 0.0], [0.5, 0.5]]}, "h1"),
+        ({"h0": [[1.0, 0.0], [0.5, 0.5]]}, "h0"),
         ({"sigmas_deg": [30, 0, 30]}, "greater than 0"),
-        ({"sprt": "never"}, "sprt"),
         ({"treshold": 1}, "did you mean 'threshold'"),
     ],
 )
@@ -165,7 +160,7 @@ def test_wrong_parameters_are_told(table: dict[str, object], message: str) -> No
 
 
 CODES = {"M": 0, "T": 1, "H": 2, "V": 3, "U": 4}
-PARAMS = made(SuspiciousThresholds, enabled=True)
+PARAMS = SuspiciousThresholds()
 
 
 def trigger(states: str, params: SuspiciousThresholds = PARAMS) -> int:
