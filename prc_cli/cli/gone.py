@@ -41,6 +41,8 @@ GONE_OF = {
     "prc evaluate --by-lines": "--by lines:N",
     "prc evaluate --by-range": "--by range:5,10,20",
     "prc evaluate --by-scanner": "--by scanner",
+    "prc render --line-spacing": "nothing: the distance of the lines is assumed",
+    "prc render --shots": "--only A:B, which shows a part in full",
     "prc evaluate --interval-lines": "leave it out: a block has 99 lines",
     "prc render --block": "--only A:B, the lines to draw",
     "prc render --from": _PAGE,
