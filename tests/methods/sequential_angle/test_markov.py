@@ -17,7 +17,6 @@ from prc_cli.core.types import F64
 from prc_cli.methods.keys import table_of
 from prc_cli.methods.sequential_angle import coarse_loops as kernel_module
 from prc_cli.methods.sequential_angle.car import suspicious
-from prc_cli.methods.sequential_angle.coarse import hmm_cusum
 from prc_cli.methods.sequential_angle.thresholds import (
     MarkovThresholds,
     Matrix,
@@ -107,39 +106,6 @@ def test_recursion_equals_the_sum_over_all_paths(rng: Generator, params: MarkovT
             for t in range(6)
         ]
         np.testing.assert_allclose(log_ratios(values, params), expected, rtol=1e-12, atol=1e-12)
-
-
-@pytest.mark.slow
-def test_first_alarm_is_where_the_likelihoods_of_the_stretch_say(rng: Generator) -> None:
-    """Restarts and onset for every start, from whole stretches rather than step by step."""
-    params = made(MarkovThresholds, backdate=False)
-    onsets = []
-    alarms = []
-    for _ in range(25):
-        values = np.where(rng.random(200) < 0.3, -90, 90) + rng.normal(0, 20, 200)
-        values[: rng.integers(0, 60)] = 90
-        values = values.astype(np.float32).astype(np.float64)
-        begin = 0
-        while begin < 200:
-            ratio = log_ratios(values[begin:], params)
-            stop = np.flatnonzero((ratio < 0) | (ratio > params.threshold))
-            if len(stop) == 0:
-                begin = 200
-            elif ratio[stop[0]] > 0:
-                break
-            else:
-                begin += int(stop[0]) + 1
-        marked = np.flatnonzero(hmm_cusum(values[None].astype(np.float32), params)[0])
-        dated = np.flatnonzero(hmm_cusum(values[None].astype(np.float32), MarkovThresholds())[0])
-        if begin == 200:
-            assert len(marked) == 0
-            continue
-        assert dated[0] == begin
-        assert marked[0] == begin + stop[0]
-        onsets.append(begin)
-        alarms.append(int(stop[0]))
-    assert len(set(onsets)) > 10
-    assert len(set(alarms)) > 5
 
 
 @pytest.mark.parametrize(
