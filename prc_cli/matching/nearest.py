@@ -523,21 +523,37 @@ def nearest_of(
     # coordinates of a projection are millions of metres: the tree works beside the origin
     origin = np.array([cloud_points[axis][0] for axis in AXES])
     tree = tree_of(xyz_of(cloud_points) - origin)
-    have_times = TIME in points and TIME in cloud_points
-    k = min(_MAX_TIED, len(cloud_points["x"])) if have_times else 1
+    places = xyz_of(points) - origin
     exclusive_bound = float(np.nextafter(bound, math.inf))
-    distance, neighbours = tree.query(  # (n, k) each
-        xyz_of(points) - origin, [*range(1, k + 1)], distance_upper_bound=exclusive_bound
+    n_compared = 1
+    if TIME in points and TIME in cloud_points:
+        n_compared = min(2, len(cloud_points["x"]))
+    distance, neighbours = tree.query(  # (n, 1 or 2) each
+        places, [*range(1, n_compared + 1)], distance_upper_bound=exclusive_bound
     )
     nearest = neighbours[:, 0]
-    if have_times:
-        # among equally near neighbours, the nearest in time; the added NaN is for no neighbour
-        cloud_time_s = np.append(cloud_points[TIME], np.nan)
-        time_difference_s = np.abs(cloud_time_s[neighbours] - points[TIME][:, None])
-        is_tied = (distance == distance[:, :1]) & np.isfinite(time_difference_s)
-        chosen = np.argmin(np.where(is_tied, time_difference_s, np.inf), axis=1)
-        nearest = neighbours[np.arange(n), chosen]
+    is_tied = (distance[:, 0] == distance[:, -1]) & np.isfinite(distance[:, 0])
+    if n_compared > 1 and is_tied.any():
+        nearest[is_tied] = _nearest_in_time(
+            tree, places[is_tied], points[TIME][is_tied], cloud_points[TIME], exclusive_bound
+        )
     return cloud_points, distance[:, 0], nearest, tree
+
+
+def _nearest_in_time(
+    tree: Any, places: F64, time_s: F64, cloud_time_s: F64, exclusive_bound: float
+) -> I64:
+    """Return the index of the nearest point (n,); of equally near ones, the nearest in time."""
+    n_compared = min(_MAX_TIED, len(cloud_time_s))
+    distance, neighbours = tree.query(
+        places, [*range(1, n_compared + 1)], distance_upper_bound=exclusive_bound
+    )
+    # the added NaN is for no neighbour
+    difference_s = np.abs(np.append(cloud_time_s, np.nan)[neighbours] - time_s[:, None])
+    is_tied = (distance == distance[:, :1]) & np.isfinite(difference_s)
+    chosen = np.argmin(np.where(is_tied, difference_s, np.inf), axis=1)
+    nearest: I64 = neighbours[np.arange(len(places)), chosen]
+    return nearest
 
 
 def _inside(columns: Columns, box: Box) -> Mask:

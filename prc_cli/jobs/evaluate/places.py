@@ -39,8 +39,8 @@ PLACE_COLUMNS = (LINE, COLUMN, SECONDS, *AXES)
 PREDICTED_COLUMNS = (CONFIDENCE, REASON)
 """Columns of the predicted side."""
 _PRESETS = {
-    ("prc", "urban"): "urban",
-    ("prc", "forest"): "forest",
+    ("prc", "urban"): "prc-2019-urban",
+    ("prc", "forest"): "prc-2019-forest",
     ("fused", "urban"): "fused",
     ("fused", "forest"): "fused-forest",
     ("rings", ""): "rings",
