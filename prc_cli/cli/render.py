@@ -124,7 +124,8 @@ def render(
             problem,
             "give OUT.png or --html PAGE.html",
         )
-    loaded = config_from(options)
+    # the lines that are drawn: the stream is read whole
+    loaded = config_from({**options, "only": None})
     with line_progress(source.name, quiet=quiet) as progress:
         if output is not None:
             output = in_folder(output, f"{source.stem}.png")
