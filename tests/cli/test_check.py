@@ -75,6 +75,21 @@ def test_drawn_answered_and_evaluated(prc: Prc, folder: Path) -> None:
     assert "| ground" in Path("a.md").read_text(encoding="utf-8")
 
 
+def test_missing_shots_of_a_table_have_no_coordinates(prc: Prc, folder: Path) -> None:
+    with np.load("drive.npz") as drive:
+        ranges = drive["range_m"]
+    rows = ["line,column,angle_deg,range_m,x,y,z"]
+    for line, column in np.ndindex(ranges.shape):
+        angle_deg = column * 360.0 / ranges.shape[1] - 180.0
+        range_m = float(ranges[line, column])
+        across_m, up_m = range_m * np.sin(np.radians((angle_deg, angle_deg + 90.0)))
+        seen = f"{range_m:.3f},{0.1 * line:.3f},{across_m:.3f},{-up_m:.3f}"
+        rows.append(f"{line},{column},{angle_deg:.3f}," + (seen if range_m > 0 else ",,,"))
+    Path("drive.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    drawn = prc("check", "drive.csv", "c.html", "--labels", "labels.npy", "--shots", "50")
+    assert drawn.code == 0, drawn.err
+
+
 def test_two_persons(prc: Prc, folder: Path) -> None:
     assert prc("check", "drive.npz", "c.html", "--labels", "labels.npy", "--shots", "50").code == 0
     answer(Path("c.html"), Path("ada.json"), person="Ada")

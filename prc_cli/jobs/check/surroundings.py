@@ -88,6 +88,8 @@ class _Patch:
             self.placed_m = np.full((*self.record.shape, 3), np.nan, np.float32)
         at = np.minimum(np.searchsorted(ids, self.record), len(ids) - 1)
         is_there = (self.record >= 0) & (ids[at] == self.record)
+        # missing shots are records of a text file, too
+        is_there &= np.isfinite(xyz_m[at]).all(axis=-1)
         placed: F64 = xyz_m[at[is_there]]
         if self.origin_m is None and len(placed):
             self.origin_m = placed[0]
