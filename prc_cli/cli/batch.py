@@ -64,7 +64,8 @@ class BatchCommand(Sectioned, click.Group):
             return subcommand.make_context(name, args[1:], parent=parent, **extra)
         first = args[0] if args else ""
         near = nearest(first, self.commands, cutoff=0.75)
-        if near and not first.startswith("-") and not Path(first).exists():
+        is_folder = "/" in first or Path(first).exists()
+        if near and not first.startswith("-") and not is_folder:
             message = f"there is no folder {first}; did you mean prc batch {near}?"
             raise click.UsageError(message, parent)
         typed = list(args)  # reading them takes them away

@@ -96,6 +96,8 @@ class WritePath(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path, declared."""
+        if not value:  # of a variable that is not set: Path makes the current folder of it
+            self.fail("the name is empty; give the name of a file", param, ctx)
         path = Path(os.fsdecode(super().convert(value, param, ctx)))
         will_write(path)
         return path
