@@ -37,7 +37,6 @@ WRITABLE = (
     "npy",
     "las",
     "laz",
-    "e57",
     "ply",
     "pcd",
 )
@@ -184,12 +183,9 @@ def _damaged() -> Iterator[tuple[str, str]]:
 
     Cut, overwritten, of another kind; and LAS headers that lie.
     """
-    for suffix in (*WRITABLE, "ptx", "3d"):
-        source = (
-            f"../convert-{suffix}/o.{suffix}"
-            if suffix in WRITABLE
-            else f"../made/scan{'000' * (suffix == '3d')}.{suffix}"
-        )
+    read_only = {"ptx": "../made/scan.ptx", "e57": "$DATA/organised/pumpA.e57"}
+    for suffix in (*WRITABLE, *read_only):
+        source = read_only.get(suffix, f"../convert-{suffix}/o.{suffix}")
         m = "-M 361" if suffix in ("bin", "npy") else ""
         if suffix == "parquet":  # labels alone
             m = "; evaluate d.parquet ../sim-sick/ref.npy"

@@ -42,7 +42,7 @@ def hmm_cusum(values: F32, thresholds: MarkovThresholds) -> Mask:
     >>> values = np.array([[90.0] * 20 + foliage + [0.0] * 20], np.float32)
     >>> found = np.flatnonzero(hmm_cusum(values, MarkovThresholds())[0])
     >>> int(found[0]), int(found[-1])
-    (20, 49)
+    (22, 48)
     """
     marked: Mask = coarse_loops.hmm_cusum(values, thresholds)
     return marked
