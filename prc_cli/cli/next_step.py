@@ -44,7 +44,7 @@ def _stem(path: Path) -> str:
 
 
 def after_classify(source: Path, output: Path, options: dict[str, Any]) -> list[str]:
-    """Return the commands that draw the result and compare it with a reference, if possible.
+    """Return the commands that draw, check and compare the result, if possible.
 
     Parameters
     ----------
@@ -57,6 +57,8 @@ def after_classify(source: Path, output: Path, options: dict[str, Any]) -> list[
     --------
     >>> after_classify(Path("drive.v2.npy"), Path("out.v2.csv.gz"), {})[0]
     'draw it: prc render drive.v2.npy out.v2.png --labels out.v2.csv.gz'
+    >>> after_classify(Path("drive.v2.npy"), Path("out.v2.csv.gz"), {})[1]
+    'check it by hand: prc check drive.v2.npy --labels out.v2.csv.gz'
     """
     scan = Input.of(source)
     # a new cloud has other records than its input
@@ -69,8 +71,14 @@ def after_classify(source: Path, output: Path, options: dict[str, Any]) -> list[
     draw = ["prc", "render", typed(source), typed(picture), *given_words(options)]
     if not has_records:
         return [f"draw it: {shlex.join(draw)}"]
-    draw = [*draw[:4], "--labels", typed(output), *given_words(options, ("--method", "--preset"))]
+    labels = ["--labels", typed(output), *given_words(options, ("--method", "--preset"))]
+    draw = [*draw[:4], *labels]
+    check = ["prc", "check", typed(source), *labels]
     reference = source.with_suffix(KITTI_SUFFIX)
     has_reference = scan.is_dump and reference.is_file()
     compare = ["prc", "evaluate", typed(output), str(reference) if has_reference else "REFERENCE"]
-    return [f"draw it: {shlex.join(draw)}", f"compare it: {shlex.join(compare)}"]
+    return [
+        f"draw it: {shlex.join(draw)}",
+        f"check it by hand: {shlex.join(check)}",
+        f"compare it: {shlex.join(compare)}",
+    ]
