@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
 import click
 
+from prc_cli.cli.next_step import typed
 from prc_cli.cli.options import QUIET, complete_mapping, config_from, input_options
 from prc_cli.cli.output import print_json, print_line, print_table
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, ScanPath
@@ -112,4 +114,5 @@ def _print(result: CheckResult, source: Path) -> None:
     words = ("predicted", "confidence") if is_divided else ("predicted",)
     print_table("shots drawn at random", (*words, "shots", "drawn"), rows, n_words=len(words))
     print_line(f"{result.page} ({result.n_bytes:,} bytes): open it, answer, save")
-    print_line(f"then type: prc evaluate {source} {result.answers}")
+    evaluate = ["prc", "evaluate", typed(source), typed(result.answers)]
+    print_line(f"then type: {shlex.join(evaluate)}")
