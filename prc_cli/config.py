@@ -370,9 +370,9 @@ def current_preset(name: Any) -> str:
         There is no such preset; the message names the nearest one, or all.
     """
     if isinstance(name, str):
-        found = same_name(name, (*PRESETS, *RENAMED_PRESETS))
-        if found is not None:
-            return RENAMED_PRESETS.get(found, found)
+        known = same_name(name, (*PRESETS, *RENAMED_PRESETS))
+        if known is not None:
+            return RENAMED_PRESETS.get(known, known)
     problem = f"found {name!r}, expected one of: {', '.join(PRESETS)}"
     raise ConfigError("preset", problem, did_you_mean(str(name), PRESETS))
 

@@ -524,7 +524,7 @@ class _MethodsReport(_Report):
     def text(self, form: str) -> str:
         if form == "html":
             evaluations = self.methods.evaluations.values()
-            files = [Path(name) for one in evaluations for name in one.predicted]
+            files = [Path(name) for evaluation in evaluations for name in evaluation.predicted]
             return methods_html(
                 self.methods, self.gates, pictures=self.pictures, origin=origin(files)
             )
@@ -542,7 +542,7 @@ class _MethodsReport(_Report):
             results().print(f"{method}: {match_line(evaluation.match)}")
             for note in (*evaluation.match.notes, *doubts(evaluation)):
                 results().print(f"  {note}")
-        used = (one.interval_method for one in self.methods.evaluations.values())
+        used = (evaluation.interval_method for evaluation in self.methods.evaluations.values())
         for method in dict.fromkeys(filter(None, used)):
             results().print(f"intervals: {method}")
 
@@ -706,8 +706,8 @@ def print_places(places: Places) -> None:
     for row in place_rows(places)[:SHOWN_PLACES]:
         sure = "-" if row["confidence"] is None else f"{row['confidence']:.0f} %"
         length = "-" if row["length_m"] is None else f"{row['length_m']:.1f} m"
-        at = "-" if row["x"] is None else f"{row['x']:.1f}, {row['y']:.1f}, {row['z']:.1f}"
-        cells = (f"{row['records']:,}", length, sure, at, row["explain"] or "-")
+        position = "-" if row["x"] is None else f"{row['x']:.1f}, {row['y']:.1f}, {row['z']:.1f}"
+        cells = (f"{row['records']:,}", length, sure, position, row["explain"] or "-")
         rows.append((f"{row['predicted']}, not {row['reference']}", *cells))
     header = ("predicted, not reference", "records", "length", "confidence", "x, y, z", "why")
     print_table("places where they differ", header, rows)

@@ -11,6 +11,7 @@ One table gives the flags, the sections of the help, the keys and the next steps
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
@@ -127,7 +128,8 @@ class PresetName(Word):
         """Return the name of today."""
         renamed = RENAMED_PRESETS.get(value)
         if renamed is not None:
-            click.echo(f"note: preset {value} is now called {renamed}", err=True)
+            with suppress(OSError):  # nobody reads it any more: the run goes on
+                click.echo(f"note: preset {value} is now called {renamed}", err=True)
         return super().convert(renamed or value, param, ctx)
 
 

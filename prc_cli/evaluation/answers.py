@@ -221,4 +221,7 @@ def pool(paths: Sequence[Path], files: Sequence[Answers]) -> Pooled:
 
 
 def _division(answers: Answers) -> list[tuple[str, int | None, int | None, int]]:
-    return [(each.predicted, each.low, each.high, each.n_shots) for each in answers.strata]
+    return [
+        (stratum.predicted, stratum.low, stratum.high, stratum.n_shots)
+        for stratum in answers.strata
+    ]

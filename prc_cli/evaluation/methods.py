@@ -48,7 +48,7 @@ class ComparedMethods(Brief):
     @property
     def classes(self) -> tuple[str, ...]:
         """Classes that the reference or a prediction has, those of the reference first."""
-        matrices = [one.matrix.trimmed() for one in self.evaluations.values()]
+        matrices = [evaluation.matrix.trimmed() for evaluation in self.evaluations.values()]
         rows = dict.fromkeys(name for matrix in matrices for name in matrix.reference_names)
         columns = dict.fromkeys(name for matrix in matrices for name in matrix.predicted_names)
         return tuple(rows | columns)
@@ -59,20 +59,22 @@ class ComparedMethods(Brief):
         The scores of the whole matrix and the number of scored records follow.
         """
         methods = self.evaluations.values()
-        tables = [scores(one.matrix) for one in methods]
+        tables = [scores(evaluation.matrix) for evaluation in methods]
         rows = []
         for score in TABLE_SCORES:
             for name in self.classes:
                 cells = []
-                for one, table in zip(methods, tables, strict=True):
+                for evaluation, table in zip(methods, tables, strict=True):
                     value = getattr(table.by_name[name], score)
-                    cells.append(with_interval(value, one.intervals.get(f"{score}.{name}"), dash))
+                    cells.append(
+                        with_interval(value, evaluation.intervals.get(f"{score}.{name}"), dash)
+                    )
                 if set(cells) != {dash}:
                     rows.append([_TITLES.get(score, score), name, *cells])
         for score in OVERALL_SCORES:
             cells = [
-                with_interval(getattr(table, score), one.intervals.get(score), dash)
-                for one, table in zip(methods, tables, strict=True)
+                with_interval(getattr(table, score), evaluation.intervals.get(score), dash)
+                for evaluation, table in zip(methods, tables, strict=True)
             ]
             rows.append([score.replace("_", " "), "all", *cells])
         rows.append(["records", "scored", *(f"{table.n_scored:,}" for table in tables)])
@@ -177,7 +179,11 @@ def methods_html(
 
 
 def _interval_methods(methods: ComparedMethods) -> list[str]:
-    used = (one.interval_method for one in methods.evaluations.values() if one.intervals)
+    used = (
+        evaluation.interval_method
+        for evaluation in methods.evaluations.values()
+        if evaluation.intervals
+    )
     return list(dict.fromkeys(used))
 
 

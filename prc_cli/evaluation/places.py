@@ -217,7 +217,9 @@ class PlaceFinder:
         """Return the differences of a cell's number to the later half of its neighbours."""
         shifts = (2 * _AXIS_BITS, _AXIS_BITS, 0) if self._in_space else (_COLUMN_BITS, 0)
         ways = itertools.product((-1, 0, 1), repeat=len(shifts))
-        steps = (sum(way << shift for way, shift in zip(one, shifts, strict=True)) for one in ways)
+        steps = (
+            sum(way << shift for way, shift in zip(step, shifts, strict=True)) for step in ways
+        )
         return sorted(step for step in steps if step > 0)
 
     def _places_of(self, table: NDArray[Any]) -> I64:
@@ -256,10 +258,10 @@ class PlaceFinder:
         nodes = start + np.flatnonzero(is_linked[start:end])
         cells = cell[nodes]
         for step in self._steps():
-            at = np.searchsorted(cells, cells + step)
-            at[at == len(cells)] = 0
-            found = cells[at] == cells + step
-            yield nodes[found], nodes[at[found]]
+            index = np.searchsorted(cells, cells + step)
+            index[index == len(cells)] = 0
+            is_filled = cells[index] == cells + step
+            yield nodes[is_filled], nodes[index[is_filled]]
 
     def places(self, reference: Sequence[str], predicted: Sequence[str]) -> list[Place]:
         """Return all places with enough records, by the names of the classes."""
@@ -412,8 +414,8 @@ def places_geojson(places: Places) -> str:
     """
     features = []
     for row in place_rows(places):
-        at = [row["x"], row["y"], row["z"]]
-        geometry = None if None in at else {"type": "Point", "coordinates": at}
+        position = [row["x"], row["y"], row["z"]]
+        geometry = None if None in position else {"type": "Point", "coordinates": position}
         features.append({"type": "Feature", "geometry": geometry, "properties": row})
     table: dict[str, Any] = {"type": "FeatureCollection", "name": "places"}
     if places.crs is not None and places.crs.startswith("EPSG:"):

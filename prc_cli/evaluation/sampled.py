@@ -74,7 +74,7 @@ def evaluate_sample(classified: str, answers: tuple[str, ...], pooled: Pooled) -
         raise InputError(answers[0], problem, "open the page of prc check, answer, and save")
     n_all = int(pooled.sample.n_shots.sum())
     predicted_shares = {
-        name: float(pooled.sample.n_shots[pooled.sample.own(name)].sum()) / n_all
+        name: float(pooled.sample.n_shots[pooled.sample.called(name)].sum()) / n_all
         for name in dict.fromkeys(pooled.sample.predicted)
     }
     shares = area_shares(sample).sum(axis=0)
@@ -87,7 +87,7 @@ def evaluate_sample(classified: str, answers: tuple[str, ...], pooled: Pooled) -
         predicted_shares=predicted_shares,
         true_shares=dict(zip(sample.classes, shares.tolist(), strict=True)),
         n_answers={
-            name: int(pooled.sample.n_answers[pooled.sample.own(name)].sum())
+            name: int(pooled.sample.n_answers[pooled.sample.called(name)].sum())
             for name in predicted_shares
         },
         kappa=None if pooled.agreement is None else kappa(pooled.agreement),
@@ -217,8 +217,8 @@ def as_dict(evaluation: SampledEvaluation, gates: Iterable[GateResult] = ()) -> 
                 "n_shots": int(n_shots),
                 "n_unsure": int(n_unsure),
                 "answers": {
-                    each: int(count)
-                    for each, count in zip(sample.classes, counts, strict=True)
+                    name: int(count)
+                    for name, count in zip(sample.classes, counts, strict=True)
                     if count
                 },
             }
@@ -229,7 +229,7 @@ def as_dict(evaluation: SampledEvaluation, gates: Iterable[GateResult] = ()) -> 
         "persons": list(pooled.persons),
         "kappa": None if evaluation.kappa is None else _defined(evaluation.kappa),
         "n_answered_twice": 0 if pooled.agreement is None else int(pooled.agreement.sum()),
-        "differences": [each._asdict() for each in pooled.differences],
+        "differences": [difference._asdict() for difference in pooled.differences],
         "notes": list(evaluation.notes),
         "gates": gate_dicts(gates),
     }

@@ -61,7 +61,7 @@ class StratifiedSample(Brief):
         """Answers with a class by stratum, (strata,) int64."""
         return np.asarray(self.counts.sum(axis=1), np.int64)
 
-    def own(self, name: str) -> Mask:
+    def called(self, name: str) -> Mask:
         """Return the strata that were predicted as a class, (strata,) bool."""
         return np.array([predicted == name for predicted in self.predicted], np.bool_)
 
@@ -134,20 +134,20 @@ def ratio_of(sample: StratifiedSample, score: str) -> Ratio:
     every = np.ones(len(n_answers))
     if kind == "accuracy":
         right = sum(
-            (sample.of_class(each) * sample.own(each) for each in set(sample.predicted)),
+            (sample.of_class(name) * sample.called(name) for name in set(sample.predicted)),
             start=np.zeros(len(n_answers), np.int64),
         )
         return Ratio(every, none, every, every, n_answers - right)
-    own = sample.own(name)
-    is_own = own.astype(np.float64)
+    is_called = sample.called(name)
+    n_called = is_called.astype(np.float64)
     # in its own strata a shot of another class is wrong, in the others a shot of this class
-    n_wrong = np.where(own, n_answers - sample.of_class(name), sample.of_class(name))
+    n_wrong = np.where(is_called, n_answers - sample.of_class(name), sample.of_class(name))
     if kind == "precision":
-        return Ratio(is_own, none, is_own, is_own, n_wrong)
+        return Ratio(n_called, none, n_called, n_called, n_wrong)
     if kind == "recall":
-        return Ratio(is_own, none, is_own, 1 - is_own, n_wrong)
+        return Ratio(n_called, none, n_called, 1 - n_called, n_wrong)
     # F1 = 2 agreed / (predicted + true)
-    return Ratio(2 * is_own, none, 2 * is_own, every, n_wrong)
+    return Ratio(2 * n_called, none, 2 * n_called, every, n_wrong)
 
 
 def estimate(sample: StratifiedSample, score: str) -> Estimate:
@@ -203,7 +203,7 @@ def area_shares(sample: StratifiedSample) -> F64:
     weights = sample.n_shots / sample.n_shots.sum()
     by_stratum = weights[:, None] * sample.counts / sample.n_answers[:, None]
     names = tuple(dict.fromkeys(sample.predicted))
-    return np.array([by_stratum[sample.own(name)].sum(axis=0) for name in names])
+    return np.array([by_stratum[sample.called(name)].sum(axis=0) for name in names])
 
 
 def collapse(sample: StratifiedSample) -> tuple[StratifiedSample, tuple[str, ...]]:
@@ -219,7 +219,7 @@ def collapse(sample: StratifiedSample) -> tuple[StratifiedSample, tuple[str, ...
     groups: list[list[int]] = []
     unanswered = []
     for name in dict.fromkeys(sample.predicted):
-        strata = [int(place) for place in np.flatnonzero(sample.own(name))]
+        strata = [int(place) for place in np.flatnonzero(sample.called(name))]
         if not n_answers[strata].sum():
             unanswered.append(name)
         elif (n_answers[strata] < 2).any():
@@ -349,10 +349,10 @@ def _strata_in_doubt(sample: StratifiedSample, ratio: Ratio) -> set[int]:
         step = 1 / (n_answers[stratum] + 1)
         if wrong[stratum] > 0.5:
             changed[stratum] -= step
-            found = (float(ratio.value(sample.n_shots, changed)), stratum)
-            highest = found if highest is None else max(highest, found)
+            bound = (float(ratio.value(sample.n_shots, changed)), stratum)
+            highest = bound if highest is None else max(highest, bound)
         else:
             changed[stratum] += step
-            found = (float(ratio.value(sample.n_shots, changed)), stratum)
-            lowest = found if lowest is None else min(lowest, found)
+            bound = (float(ratio.value(sample.n_shots, changed)), stratum)
+            lowest = bound if lowest is None else min(lowest, bound)
     return {stratum for _, stratum in filter(None, (lowest, highest))}

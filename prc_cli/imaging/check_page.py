@@ -116,7 +116,7 @@ def check_page(
     }
     files = resources.files("prc_cli.imaging")
     styles = (files / name for name in ("viewer.css", "check.css"))
-    style = "".join(each.read_text(encoding="utf-8") for each in styles)
+    style = "".join(path.read_text(encoding="utf-8") for path in styles)
     script = (files / "check.js").read_text(encoding="utf-8")
     values = {
         "title": title,

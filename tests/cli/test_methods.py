@@ -84,9 +84,9 @@ def test_every_format_of_a_scan_gets_the_same_labels(
     assert "| car " in result.out
     codes = ClassCodes()
     reference = points()[2].ravel()
-    for label in (Label.GROUND, Label.VERTICAL, Label.VEGETATION):
+    for label, share in ((Label.GROUND, 0.5), (Label.VERTICAL, 0.5), (Label.VEGETATION, 0.25)):
         code = codes.code(label)
-        assert np.mean(written[reference == code] == code) > 0.5, label.name
+        assert np.mean(written[reference == code] == code) > share, label.name
 
 
 def ptx_that_lies(folder: Path) -> Path:

@@ -40,24 +40,29 @@ URBAN = ("--preset", "prc-2019-urban", "-q", "--overwrite")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["d.npz", "d.laz", "d.csv", "d.ply"])
 @pytest.mark.parametrize(
-    "window",
-    [("--only", "13:41"), ("--only", "1001.3:1004.1"), ("--only", "+1.28:+4.08")],
+    ("window", "key"),
+    [
+        ("13:41", "only_lines"),
+        ("1001.3:1004.1", "only_time"),
+        ("+1.28:+4.08", "only_time"),
+    ],
 )
 def test_a_window_is_a_drive_of_its_own(
     prc: Prc,
     folder: Path,
     name: str,
-    window: tuple[str, str],
+    window: str,
+    key: str,
 ) -> None:
     whole = np.load(folder / "d.npz")["range_m"][13:41]
     np.save(folder / "part.npy", whole)
     assert prc("classify", folder / "part.npy", folder / "expected.npy", *URBAN).code == 0
-    assert prc("classify", folder / name, folder / "w.npy", *window, *URBAN).code == 0
+    assert prc("classify", folder / name, folder / "w.npy", "--only", window, *URBAN).code == 0
     expected = np.load(folder / "expected.npy")
     expected = expected[expected > 0] if name == "d.laz" else expected
     assert np.array_equal(np.load(folder / "w.npy"), expected)
     record = json.loads((folder / "w.npy.prc.json").read_text())
-    assert record["config"]["input"][window[0][2:].replace("-", "_")] == window[1]
+    assert record["config"]["input"][key] == window
     assert record["stream"]["n_lines"] == 28
     assert record["stream"]["n_records"] == len(expected)
     assert record["input"]["sha256"] is None

@@ -55,7 +55,10 @@ def test_answers_are_counted_by_stratum() -> None:
     assert pooled.sample.counts.tolist() == [[2, 1, 0], [0, 1, 1]]
     assert pooled.sample.n_unsure.tolist() == [0, 1]
     assert (pooled.n_places, pooled.n_open, pooled.n_other) == (7, 1, 1)
-    assert [(each.line, each.predicted, each.answer) for each in pooled.differences] == [
+    assert [
+        (difference.line, difference.predicted, difference.answer)
+        for difference in pooled.differences
+    ] == [
         (2, "ground", "car"),
         (5, "car", "other"),
     ]
@@ -87,10 +90,10 @@ def test_other_places_of_the_same_file_add_up() -> None:
 
 
 def test_answers_about_another_file_are_not_pooled() -> None:
-    other = table(["ground"])
-    other["classified"]["sha256"] = "cd"
+    another = table(["ground"])
+    another["classified"]["sha256"] = "cd"
     with pytest.raises(InputError, match="about another file"):
-        pool([PATH, PATH], [answers_of("ground"), Answers.model_validate(other)])
+        pool([PATH, PATH], [answers_of("ground"), Answers.model_validate(another)])
 
 
 def test_nothing_answered_is_refused() -> None:

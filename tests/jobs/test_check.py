@@ -86,7 +86,7 @@ def test_the_sample_does_not_depend_on_the_blocks() -> None:
 def test_strata_count_every_shot_and_places_have_their_class() -> None:
     labels = some_labels()
     drawn = drawn_from(labels, [0, 50])
-    counts = {each.predicted: each.n_shots for each in drawn.strata}
+    counts = {stratum.predicted: stratum.n_shots for stratum in drawn.strata}
     for label in (Label.GROUND, Label.BUILDING, Label.CURB):
         assert counts[label.name.lower()] == np.count_nonzero(labels == label)
     assert len(set(drawn.places)) == len(drawn.places) == 60
@@ -122,7 +122,7 @@ def test_confidence_divides_the_classes() -> None:
     labels = some_labels()
     sure = np.where(np.arange(labels.size) % 5 == 0, SURE - 1, SURE).astype(np.uint8)
     drawn = drawn_from(labels, [0], sure=sure)
-    assert [(each.predicted, each.low) for each in drawn.strata] == [
+    assert [(stratum.predicted, stratum.low) for stratum in drawn.strata] == [
         (name, low) for name in ("ground", "building", "curb") for low in (0, SURE)
     ]
     for place in drawn.places:
@@ -138,7 +138,7 @@ def test_the_page_has_every_place_and_nothing_else(
     table = about(page)
     answers = Answers.model_validate(table["answers"])
     assert result.n_places == len(answers.places) == len(table["places"])
-    assert sum(each.n_shots for each in answers.strata) == np.count_nonzero(drive[2])
+    assert sum(stratum.n_shots for stratum in answers.strata) == np.count_nonzero(drive[2])
     assert all(place.answer is None for place in answers.places)
     assert table["file"] == result.answers == "labels_answers.json"
     assert not re.search(r"(src|href)=|https?://", text)

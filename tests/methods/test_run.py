@@ -261,10 +261,10 @@ _RINGS = {
 }
 _FUSED = (
     {
-        one
-        for one in list(Reason)[list(Reason).index(Reason.LONELY) :]
-        if "prc." not in str(RULES[one].limits)
+        reason
+        for reason in list(Reason)[list(Reason).index(Reason.LONELY) :]
+        if "prc." not in str(RULES[reason].limits)
     }
-    - {one for one in Reason if "sequential_angle" in str(RULES[one].limits)}
+    - {reason for reason in Reason if "sequential_angle" in str(RULES[reason].limits)}
     - _RINGS
 )

@@ -139,7 +139,7 @@ def check(
         title=f"Check {source.name}",
         head=heading(origin, f"{len(drawn.places):,} of {n_shots:,} shots, drawn at random"),
         answers=answers.model_dump(mode="json"),
-        colours=[words.table.colour(words.table.names.index(each)) for each in answers.classes],
+        colours=[words.table.colour(words.table.names.index(name)) for name in answers.classes],
         file=name,
     )
     with atomic_output(output, overwrite=overwrite) as temporary:

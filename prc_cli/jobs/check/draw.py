@@ -158,7 +158,7 @@ def read_confidence(records: Source | None, folder: Path) -> U8 | None:
 
 def order_lines(places: tuple[Cell, ...], scanner: int) -> tuple[I64, I64]:
     """Return the lines of a scanner's places in order, and their numbers among all places."""
-    numbers = np.array([k for k, each in enumerate(places) if each.scanner == scanner], np.int64)
+    numbers = np.array([k for k, place in enumerate(places) if place.scanner == scanner], np.int64)
     lines = np.array([places[int(k)].line for k in numbers], np.int64)
     order = np.argsort(lines, kind="stable")
     return lines[order], numbers[order]

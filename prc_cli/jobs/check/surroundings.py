@@ -86,11 +86,11 @@ class _Patch:
         """
         if not self.placed_m.size:
             self.placed_m = np.full((*self.record.shape, 3), np.nan, np.float32)
-        at = np.minimum(np.searchsorted(ids, self.record), len(ids) - 1)
-        is_there = (self.record >= 0) & (ids[at] == self.record)
+        index = np.minimum(np.searchsorted(ids, self.record), len(ids) - 1)
+        is_there = (self.record >= 0) & (ids[index] == self.record)
         # missing shots are records of a text file, too
-        is_there &= np.isfinite(xyz_m[at]).all(axis=-1)
-        placed: F64 = xyz_m[at[is_there]]
+        is_there &= np.isfinite(xyz_m[index]).all(axis=-1)
+        placed: F64 = xyz_m[index[is_there]]
         if self.origin_m is None and len(placed):
             self.origin_m = placed[0]
         if self.origin_m is not None:

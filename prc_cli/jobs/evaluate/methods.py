@@ -80,8 +80,8 @@ def named_files(paths: Sequence[tuple[str, Path]]) -> dict[str, Path]:
     names = [name or _method_beside(path) or stem_of(path) for name, path in paths]
     n_of_name = Counter(names)
     files: dict[str, Path] = {}
-    for (given, path), name in zip(paths, names, strict=True):
-        shown = name if given or n_of_name[name] == 1 else f"{name} ({stem_of(path)})"
+    for (typed, path), name in zip(paths, names, strict=True):
+        shown = name if typed or n_of_name[name] == 1 else f"{name} ({stem_of(path)})"
         if shown in files:
             problem = f"found {shown!r} for {files[shown]} and for {path}, expected other names"
             raise ConfigError("PREDICTED", problem, f"give one a name: NAME={path}")

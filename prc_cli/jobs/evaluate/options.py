@@ -226,7 +226,7 @@ def mapping_of_methods(
     """
     choices = [mapping_of_runs(files, reference, dimension) for files in predicted]
     name, why = min(choices, key=lambda choice: _fineness(choice[0]))
-    if all(other == name for other, _ in choices):
+    if all(chosen == name for chosen, _ in choices):
         return name, why
     return name, "it has the classes of all methods"
 

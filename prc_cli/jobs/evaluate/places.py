@@ -126,10 +126,10 @@ class PlaceCollector:
 
     def places(self) -> tuple[list[Place], int]:
         """Return the best places, and the number of records that differ."""
-        found = self._finder.places(
+        places = self._finder.places(
             self._mapping.names("reference"), self._mapping.names("predicted")
         )
-        return best_first(found), self._finder.n_differ
+        return best_first(places), self._finder.n_differ
 
 
 class PairFile:
@@ -256,7 +256,7 @@ def _greys(pairs: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def listed_places(
-    found: Iterable[Place],
+    unordered: Iterable[Place],
     n_differ: int,
     files: Sequence[str],
     sides: Sequence[tuple[Side, Side]],
@@ -264,7 +264,7 @@ def listed_places(
     mapping: ClassMapping,
 ) -> Places:
     """Return the places with their files, rules, commands, coordinate system and pictures."""
-    places = best_first(found)
+    places = best_first(unordered)
     listed = [
         ListedPlace(
             place,

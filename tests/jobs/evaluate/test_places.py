@@ -86,19 +86,19 @@ def differing(n: int, seed: int = 1) -> Differing:
 
 def test_places_do_not_depend_on_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     records = differing(3000)
-    found = []
+    lists = []
     for size in (6000, 700, 61):
         monkeypatch.setattr("prc_cli.evaluation.places._MAX_UNMERGED", size)
         finder = PlaceFinder(in_space=True)
         for first in range(0, 6000, size):
             finder.add(records.part(slice(first, first + size)))
         assert finder.n_differ == 6000
-        found.append(best_first(finder.places(NAMES, NAMES)))
-    assert found[0] == found[1] == found[2]
-    assert [place.n_records > 1300 for place in found[0]] == [True, True]
-    assert found[0][0].reference == "ground"
-    assert found[0][0].predicted == "building"
-    assert found[0][0].reason == 3
+        lists.append(best_first(finder.places(NAMES, NAMES)))
+    assert lists[0] == lists[1] == lists[2]
+    assert [place.n_records > 1300 for place in lists[0]] == [True, True]
+    assert lists[0][0].reference == "ground"
+    assert lists[0][0].predicted == "building"
+    assert lists[0][0].reason == 3
 
 
 def test_large_places_survive_when_memory_is_full(monkeypatch: pytest.MonkeyPatch) -> None:
