@@ -715,6 +715,11 @@ def print_places(places: Places) -> None:
         f"{len(places.places):,} places have {places.n_listed:,} of {places.n_differ:,} "
         "records that differ"
     )
+    if places.places and all(row["x"] is None for row in place_rows(places)):
+        results().print(
+            "no coordinates: a map cannot show the places; name a cloud of the same shots, "
+            "--points FILE.laz"
+        )
 
 
 def print_gates(gates: Sequence[GateResult]) -> None:

@@ -283,6 +283,54 @@ def test_13_a_registered_tile_is_the_stream_that_it_was(prc: Shell) -> None:
     assert np.mean(whole == raw) > 0.98
 
 
+def test_14_how_good_it_is_by_hand_by_reference_and_beside_a_car(prc: Shell) -> None:
+    """The commands of docs/how_good.md, on a drive with known classes."""
+    page = (Path(__file__).parents[2] / "docs" / "how_good.md").read_text(encoding="utf-8")
+    checked, answered, scored, classified, compared, differing = re.findall(
+        r"^\$ (prc .*)$", page, re.MULTILINE
+    )
+    more = prc.here / "prc-demo" / "more"
+    more.mkdir(parents=True)
+    shutil.copy(prc.here / "drive.npz", prc.here / "prc-demo" / "street.npz")
+    with np.load(prc.here / "drive.npz") as drive:
+        np.save(more / "street_reference.npy", drive["class"].ravel())
+    prc("prc classify prc-demo/street.npz prc-demo/more/street_labels.npy -q")
+    prc(f"prc simulate street drive.laz -q {STREET}")
+    prc("prc classify drive.laz prc-demo/street.laz -q")
+
+    prc(checked)
+    about = re.search(
+        r'id="about">(.*?)</script>', (prc.here / "check.html").read_text("utf-8"), re.DOTALL
+    )
+    assert about
+    answers = json.loads(about[1])["answers"]
+    truth = np.asarray(laspy.read(prc.here / "drive.laz").classification)
+    names = {7: "noise", 2: "ground", 6: "building", 5: "vegetation", 65: "car", 66: "curb"}
+    names[69] = "pole"
+    for place in answers["places"]:
+        place["answer"] = names.get(int(truth[place["record"]]), "other")
+    (prc.here / "street_answers.json").write_text(json.dumps(answers))
+    by_hand = json.loads(prc(f"{answered} --json").out)["scores"]["accuracy"]
+    whole = json.loads(prc(f"{scored} --json").out)["overall"]["accuracy"]
+    assert by_hand["low"] < whole < by_hand["high"]
+
+    prc(classified)
+    assert "methods against the reference" in prc(compared).out
+
+    (prc.here / "car").mkdir()
+    car = laspy.read(prc.here / "drive.laz")
+    # a facade that the office called vegetation
+    wrong = (car.classification == 6) & (car.x < np.quantile(car.x, 0.5))
+    car.classification[wrong] = 5
+    car[np.random.default_rng(14).permutation(len(car.points))].write(prc.here / "car/a.laz")
+    prc(differing)
+    first = json.loads((prc.here / "places.geojson").read_text())["features"][0]
+    assert first["properties"]["reference"] == "vegetation"
+    assert first["properties"]["predicted"] == "building"
+    assert car.header.x_min <= first["geometry"]["coordinates"][0] <= car.header.x_max
+    assert prc(first["properties"]["explain"]).out
+
+
 def tiles_of(drive: laspy.LasData, folder: Path) -> list[NDArray[Any]]:
     """Write the drive in two tiles with coordinates and times alone, sorted in space.
 
