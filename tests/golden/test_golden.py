@@ -44,6 +44,15 @@ def test_long_cases_are_as_they_were() -> None:
     assert len(results) == len(LONG)
 
 
+def test_no_case_is_a_mistake_of_its_own() -> None:
+    """Python in a case may be refused by prc, but it must not break."""
+    broken = ("AttributeError", "ImportError", "NameError", "TypeError", "FileNotFoundError")
+    kept = json.loads(GOLDEN.read_text(encoding="utf-8"))
+    assert [
+        name for name, case in kept.items() if any(word in case["exit"] for word in broken)
+    ] == []
+
+
 def test_one_bit_is_seen() -> None:
     kept = json.loads(GOLDEN.read_text(encoding="utf-8"))
     name = "classify-channels"
