@@ -479,6 +479,9 @@ def main() -> None:
     parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(PARTS))
     parser.add_argument("--lines", type=int, default=LINES, help="lines of the inputs")
     arguments = parser.parse_args()
+    unknown = [name for name in arguments.parts if name not in PARTS]
+    if unknown:
+        parser.error(f"no part {unknown[0]}; there are {', '.join(PARTS)}")
     load_classifier(load_config(preset="prc-2019-urban"))
     print(heading("Speed and memory: figures", "speed"))
     print("What the tables mean: [Speed and memory](../speed.md).\n")
