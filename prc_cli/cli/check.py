@@ -9,9 +9,9 @@ from typing import Any
 import click
 
 from prc_cli.cli.next_step import typed
-from prc_cli.cli.options import QUIET, complete_mapping, config_from, input_options
+from prc_cli.cli.options import MAPPING, QUIET, config_from, input_options
 from prc_cli.cli.output import print_json, print_line, print_table
-from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, ScanPath
+from prc_cli.cli.paths import READ, WRITTEN, ScanPath
 from prc_cli.cli.report import line_progress
 from prc_cli.jobs.check import CheckOptions, CheckResult
 from prc_cli.jobs.check import check as check_file
@@ -31,13 +31,7 @@ from prc_cli.jobs.check import check as check_file
 @click.option(
     "--dimension", "labels_dimension", metavar="NAME", help="Column or dimension of the classes."
 )
-@click.option(
-    "--mapping",
-    type=READ_TEXT,
-    metavar="NAME|FILE.toml",
-    shell_complete=complete_mapping,
-    help="Classes of the codes, as for prc evaluate.",
-)
+@MAPPING
 @click.option(
     "--seed",
     type=click.IntRange(min=0),

@@ -21,6 +21,7 @@ from prc_cli.cli.options import (
     add_options,
     complete_mapping,
     form_of,
+    form_of_output,
     form_options,
     numbers,
     window_options,
@@ -48,7 +49,7 @@ from prc_cli.evaluation.reports import (
     as_json,
     as_markdown,
     doubts,
-    gate_cells,
+    gate_line,
     match_line,
     overall_line,
     percent,
@@ -343,15 +344,11 @@ def _checked_outputs(
 ) -> dict[Path, str]:
     """Return the form of every file to write; refuse other suffixes, and inputs."""
     written: dict[Path, str] = {}
-    asked = [("output", path, FORMS) for path in options["outputs"]]
+    asked = [(str(path), path, FORMS) for path in options["outputs"]]
     if options["places"] is not None:
         asked.append(("--places", options["places"], PLACE_FORMS))
     for where, path, forms in asked:
-        if path.suffix.lower() not in forms:
-            problem = f"found the suffix {path.suffix!r}, expected one of: {' '.join(forms)}"
-            where = str(path) if where == "output" else where
-            raise ConfigError(where, problem, "choose a name with one of these suffixes")
-        written[path] = forms[path.suffix.lower()]
+        written[path] = form_of_output(path, forms, where)
     if written:
         pairs = [path for pair in options["pairs"] for path in pair]
         inputs = tuple(files_of((*(path for _, path in paths), *pairs)))
@@ -703,7 +700,8 @@ def print_evaluation_details(evaluation: Evaluation, gates: Sequence[GateResult]
 def print_places(places: Places) -> None:
     """Print the first places where both sides differ, on stdout."""
     rows = []
-    for row in place_rows(places)[:SHOWN_PLACES]:
+    listed = place_rows(places)
+    for row in listed[:SHOWN_PLACES]:
         sure = "-" if row["confidence"] is None else f"{row['confidence']:.0f} %"
         length = "-" if row["length_m"] is None else f"{row['length_m']:.1f} m"
         position = "-" if row["x"] is None else f"{row['x']:.1f}, {row['y']:.1f}, {row['z']:.1f}"
@@ -715,7 +713,7 @@ def print_places(places: Places) -> None:
         f"{len(places.places):,} places have {places.n_listed:,} of {places.n_differ:,} "
         "records that differ"
     )
-    if places.places and all(row["x"] is None for row in place_rows(places)):
+    if listed and all(row["x"] is None for row in listed):
         results().print(
             "no coordinates: a map cannot show the places; name a cloud of the same shots, "
             "--points FILE.laz"
@@ -725,8 +723,4 @@ def print_places(places: Places) -> None:
 def print_gates(gates: Sequence[GateResult]) -> None:
     """Print gates and the scores found, on stdout."""
     for gate in gates:
-        name, limit, value = gate_cells(gate)
-        results().print(
-            f"{name}: found {value}, expected at least {limit}: "
-            f"{'passed' if gate.passed else 'failed'}"
-        )
+        results().print(gate_line(gate))

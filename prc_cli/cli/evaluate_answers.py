@@ -11,12 +11,12 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from prc_cli.cli.options import form_of
+from prc_cli.cli.options import form_of, form_of_output
 from prc_cli.cli.output import print_table, print_text, results
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, prepare_outputs, whole_set
 from prc_cli.evaluation.answers import is_answers
-from prc_cli.evaluation.reports import gate_cells
+from prc_cli.evaluation.reports import gate_line
 from prc_cli.evaluation.sampled import (
     HEADER,
     SampledEvaluation,
@@ -56,7 +56,7 @@ def print_answers(classified: Path, answers: Sequence[Path], options: Mapping[st
     form = form_of(options)
     limits = [_limit(text) for text in options["gates"]]
     outputs: tuple[Path, ...] = options["outputs"]
-    forms = [_form_of_output(path) for path in outputs]
+    forms = [form_of_output(path, _FORMS) for path in outputs]
     if form == "html":
         raise ConfigError("--format", "found html, which answers do not have", "choose another")
     if outputs:
@@ -86,14 +86,6 @@ def _refuse_other_options() -> None:
             raise ConfigError(parameter.opts[-1], problem, "leave it out")
 
 
-def _form_of_output(path: Path) -> str:
-    form = _FORMS.get(path.suffix.lower())
-    if form is None:
-        problem = f"found the suffix {path.suffix!r}, expected one of: {' '.join(_FORMS)}"
-        raise ConfigError(str(path), problem, "choose a name with one of these suffixes")
-    return form
-
-
 def _limit(text: str) -> tuple[str, float]:
     name, _, value = text.partition("=")
     try:
@@ -118,9 +110,7 @@ def _print(evaluation: SampledEvaluation, gates: Sequence[GateResult]) -> None:
     print_table("estimated from the answers, with 95 % intervals", HEADER, score_rows(evaluation))
     results().print(summary_line(evaluation))
     for gate in gates:
-        name, limit, value = gate_cells(gate)
-        outcome = "passed" if gate.passed else "failed"
-        results().print(f"{name}: found {value}, expected at least {limit}: {outcome}")
+        results().print(gate_line(gate))
     for text in (agreement_line(evaluation), *evaluation.notes):
         if text:
             results().print(text)

@@ -434,6 +434,13 @@ def form_options(*forms: str) -> list[Callable[[Any], Any]]:
     ]
 
 
+MAPPING = click.option(
+    "--mapping",
+    type=READ_TEXT,
+    metavar="NAME|FILE.toml",
+    shell_complete=complete_mapping,
+    help="Classes of the codes, as for prc evaluate.",
+)
 QUIET = click.option("-q", "--quiet", is_flag=True, help="Print only errors (and --json).")
 QUIET_FORM = click.option(
     "-q",
@@ -450,6 +457,15 @@ def form_of(options: Mapping[str, Any]) -> str:
         message = f"--json and --format {form} contradict each other"
         raise click.UsageError(message)
     return "json" if options["as_json_flag"] else form or "table"
+
+
+def form_of_output(path: Path, forms: Mapping[str, str], where: str = "") -> str:
+    """Return the form of a file to write by its suffix; refuse other suffixes than of ``forms``."""
+    form = forms.get(path.suffix.lower())
+    if form is None:
+        problem = f"found the suffix {path.suffix!r}, expected one of: {' '.join(forms)}"
+        raise ConfigError(where or str(path), problem, "choose a name with one of these suffixes")
+    return form
 
 
 POSES = (

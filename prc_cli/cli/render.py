@@ -8,9 +8,9 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import Sectioned, Word, complete_mapping, config_from, stream_options
+from prc_cli.cli.options import MAPPING, QUIET, Sectioned, Word, config_from, stream_options
 from prc_cli.cli.output import print_json, print_line
-from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, ScanPath, in_folder
+from prc_cli.cli.paths import READ, WRITTEN, ScanPath, in_folder
 from prc_cli.cli.report import line_progress
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.render import COLOURS, VIEWS, RenderOptions
@@ -45,7 +45,10 @@ from prc_cli.jobs.render import render as render_file
     metavar="A,B,...",
     help="Pictures to draw, e.g. range,support,classes. Default: prc chooses.",
 )
-@click.option("--only", metavar="A:B", help="Draw only lines A to B - 1, counted from 0.")
+# no part of the stream, as in other commands: the stream is read whole
+@click.option(
+    "--only", "drawn_lines", metavar="A:B", help="Draw only lines A to B - 1, counted from 0."
+)
 @click.option(
     "--figure1",
     is_flag=True,
@@ -65,13 +68,7 @@ from prc_cli.jobs.render import render as render_file
     "--reference", type=READ, metavar="FILE", help="Draw the differences to these classes."
 )
 @click.option("--reference-dimension", metavar="NAME", help="Column or dimension of --reference.")
-@click.option(
-    "--mapping",
-    type=READ_TEXT,
-    metavar="NAME|FILE.toml",
-    shell_complete=complete_mapping,
-    help="Classes of the codes, as for prc evaluate.",
-)
+@MAPPING
 @click.option(
     "--view",
     type=Word(VIEWS),
@@ -91,7 +88,7 @@ from prc_cli.jobs.render import render as render_file
 @stream_options
 @click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was drawn as JSON on stdout.")
-@click.option("-q", "--quiet", is_flag=True, help="Print only errors (and --json).")
+@QUIET
 def render(
     source: Path,
     output: Path | None,
@@ -124,8 +121,7 @@ def render(
             problem,
             "give OUT.png or --html PAGE.html",
         )
-    # the lines that are drawn: the stream is read whole
-    loaded = config_from({**options, "only": None})
+    loaded = config_from(options)
     with line_progress(source.name, quiet=quiet) as progress:
         if output is not None:
             output = in_folder(output, f"{source.stem}.png")
@@ -166,7 +162,7 @@ _AS_GIVEN = (
 
 def _render_options(options: dict[str, Any]) -> RenderOptions:
     steps = options["steps"]
-    lines = options["only"]
+    lines = options["drawn_lines"]
     return RenderOptions(
         steps=None if steps is None else _names(steps),
         hide=_names(options["hide"] or ""),

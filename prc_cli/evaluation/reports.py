@@ -255,6 +255,13 @@ def gate_cells(gate: GateResult) -> tuple[str, str, str]:
     return gate.name, f"{gate.limit:g}", value
 
 
+def gate_line(gate: GateResult) -> str:
+    """Return a gate and the score found as a line."""
+    name, limit, value = gate_cells(gate)
+    outcome = "passed" if gate.passed else "failed"
+    return f"{name}: found {value}, expected at least {limit}: {outcome}"
+
+
 def percent(value: float) -> str:
     """Return a share in per cent, ``-`` if it is undefined."""
     return "-" if math.isnan(value) else f"{value:.1%}"
