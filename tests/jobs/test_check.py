@@ -146,16 +146,6 @@ def test_the_page_has_every_place_and_nothing_else(
         assert place["points"] > 1_000
 
 
-def test_big_samples_have_small_windows(
-    drive: tuple[Path, Path, U8], config: LoadedConfig, tmp_path: Path
-) -> None:
-    sizes = []
-    for shots in (300, 1_200):
-        options = CheckOptions(shots=shots, labels=drive[1])
-        sizes.append(check(drive[0], tmp_path / f"{shots}.html", config, options).n_bytes)
-    assert sizes[1] < 1.6 * sizes[0] < 20_000_000
-
-
 def test_an_input_without_classes_is_refused(
     drive: tuple[Path, Path, U8], config: LoadedConfig, tmp_path: Path
 ) -> None:

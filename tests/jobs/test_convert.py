@@ -3,7 +3,6 @@ format holds it."""
 
 from __future__ import annotations
 
-import gc
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from prc_cli.core.blocks import join
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.input import Input
-from prc_cli.jobs.classify import classify, label_blocks, open_stream
+from prc_cli.jobs.classify import classify, open_stream
 from prc_cli.jobs.convert import convert
 from tests.street import LINE_HZ, POINTS_PER_LINE, angles, street
 
@@ -36,15 +35,6 @@ def scans(path: Path, loaded: LoadedConfig) -> dict[int, ScanBlock]:
     for block in open_stream(path, loaded).blocks():
         parts.setdefault(block.scanner, []).append(block)
     return {scanner: join(blocks) for scanner, blocks in parts.items()}
-
-
-def labels(path: Path, loaded: LoadedConfig) -> dict[int, Any]:
-    parts: dict[int, list[Any]] = {}
-    for item in label_blocks(open_stream(path, loaded).blocks(), loaded.config.classifier):
-        parts.setdefault(item.block.scanner, []).append(item.labels)
-    return {
-        scanner: np.concatenate(parts_of_scanner) for scanner, parts_of_scanner in parts.items()
-    }
 
 
 def same_bits(left: Any, right: Any) -> bool:
@@ -143,26 +133,6 @@ def test_a_format_of_cells_gives_the_same_blocks_back(
     assert np.abs((after.angle_rad - before.angle_rad + np.pi) % turn - np.pi).max() < 1e-11
     if suffix == ".npz":
         assert same_bits(before.xyz_m, after.xyz_m)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", [*CELLS, ".npy", ".laz"])
-@pytest.mark.parametrize("preset", ["urban", "street-scan"])
-def test_labels_are_those_of_the_original(
-    drive: Path,
-    tmp_path: Path,
-    suffix: str,
-    preset: str,
-) -> None:
-    out = tmp_path / f"out{suffix}"
-    convert(drive, out)
-    if preset == "street-scan" and suffix == ".npy":
-        pytest.skip(".npy holds no directions, and says so")
-    expected = labels(drive, config(preset=preset, nadir=0.0))[0]
-    nadir = {} if suffix == ".npy" else {"nadir": 0.0}
-    n_other = np.count_nonzero(expected != labels(out, config(out, preset, **nadir))[0])
-    # LAS rounds scan angles to 0.006 degrees, by which sequential-angle decides
-    assert n_other <= (3 if (preset, suffix) == ("street-scan", ".laz") else 0)
 
 
 def two_scanners(path: Path) -> Path:
@@ -287,24 +257,3 @@ def test_several_scanners_need_a_format_that_tells_them_apart(tmp_path: Path, su
     ):
         convert(source, tmp_path / f"out{suffix}", loaded)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["two.las"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".csv.zst", ".parquet"])
-def test_an_interrupt_leaves_no_file_and_no_words(
-    drive: Path,
-    tmp_path: Path,
-    suffix: str,
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    def stop(n_lines: int) -> None:
-        raise KeyboardInterrupt
-
-    before = sorted(tmp_path.iterdir())
-    with pytest.raises(KeyboardInterrupt):
-        convert(drive, tmp_path / f"a{suffix}", progress=stop)
-    # Arrow closes streams that were forgotten when they are destroyed, and complains on the
-    # descriptor itself
-    gc.collect()
-    assert sorted(tmp_path.iterdir()) == before
-    assert capfd.readouterr().err == ""

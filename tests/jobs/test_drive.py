@@ -141,20 +141,3 @@ def test_one_command_takes_a_drive(tmp_path: Path) -> None:
     records = json.loads(done.stdout)
     assert [record["input"]["name"] for record in records] == [part.name for part in parts]
     assert (tmp_path / "out" / "drive_2.bin.labels.npy").is_file()
-
-
-@pytest.mark.slow
-@pytest.mark.data
-def test_five_files_of_a_real_drive_are_one(real_data: Path, tmp_path: Path) -> None:
-    parts = sorted((real_data / "riegl").glob("sample_riegl_18_0*.ply"))
-    head, _, _ = parts[0].read_bytes().partition(b"end_header\n")
-    bodies = [part.read_bytes().partition(b"end_header\n")[2] for part in parts]
-    n = sum(map(len, bodies)) // 86
-    joined = tmp_path / "joined.ply"
-    joined.write_bytes(
-        head.replace(b"vertex 30000", b"vertex %d" % n) + b"end_header\n" + b"".join(bodies)
-    )
-    classify(joined, tmp_path / "joined.npy")
-    summaries = list(classify_drive(parts, tmp_path / "out", load_config()))
-    labels = np.concatenate([np.load(summary.output) for summary in summaries])
-    assert np.array_equal(labels, np.load(tmp_path / "joined.npy"))

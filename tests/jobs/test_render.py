@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
@@ -24,7 +23,6 @@ from prc_cli.jobs.render.scan import draw_scan
 from prc_cli.jobs.render.viewer import _Kept, render_viewer
 from prc_cli.jobs.simulate import Beside, simulate
 from prc_cli.simulation.settings import load_settings
-from tests.browser import chromium
 from tests.imaging.test_pictures import decoded
 from tests.jobs.test_convert import config, two_scanners
 from tests.simulated import static_arrays
@@ -57,11 +55,6 @@ def static(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     )
     np.save(folder / "reference.npy", ClassCodes().lookup()[labels].ravel())
     return folder / "static.npz", folder / "reference.npy"
-
-
-def pixels(path: Path) -> U8:
-    with Image.open(path) as image:
-        return np.asarray(image)
 
 
 def has(picture: U8, label: Label) -> bool:
@@ -183,22 +176,6 @@ def test_labels_of_another_length(
     assert not (tmp_path / "a.png").exists()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("colour", [None, "class", "height", "range"])
-def test_clouds_of_static_scans(
-    static: tuple[Path, Path],
-    tmp_path: Path,
-    colour: str | None,
-) -> None:
-    chosen = RenderOptions(view="top", colour=colour, width=600)  # type: ignore[arg-type]
-    result = render(static[0], tmp_path / "a.png", load_config(preset="street-scan"), chosen)
-    picture = pixels(tmp_path / "a.png")
-    assert max(picture.shape) <= 1100
-    assert result.n_points > 3000
-    assert ("by class" in result.drawn) == (colour in (None, "class"))
-    assert has(picture, Label.GROUND) == (colour in (None, "class"))
-
-
 @pytest.mark.parametrize(("n", "end"), [(8, "207"), (9, "207, ...")])
 def test_eight_codes_without_a_class_are_named(n: int, end: str) -> None:
     words = Vocabulary(LABEL_TABLE, None, ClassCodes())
@@ -275,69 +252,6 @@ def test_a_static_scan_is_where_it_was_measured_and_stages_are_shown(
         again["height_above_ground"], planes["height_above_ground"], atol=0.002, equal_nan=True
     )
     assert np.array_equal(again["surface"], planes["surface"], equal_nan=True)
-
-
-@pytest.mark.slow
-def test_a_browser_shows_the_shots(static: tuple[Path, Path], tmp_path: Path) -> None:
-    """Drawn, clicked, steered by keys, classes switched off.
-
-    Light and dark, wide and narrow; without a complaint.
-    """
-    page = tmp_path / "a.html"
-    render_viewer(static[0], page, load_config(preset="street-scan"))
-    about, planes = decoded(read(page))
-    drawn = (
-        "const c = document.getElementById('{}'), d = c.getContext('2d').getImageData(0, "
-        "0, c.width, c.height).data;"
-        "const seen = new Set(); for (let i = 0; i < d.length; i += 4) seen.add(d[i] << 16 "
-        "| d[i + 1] << 8 | d[i + 2]);"
-        "return seen.size"
-    )
-    with chromium() as browser:
-        for width, dark in ((1280, False), (390, True)):
-            browser.open(page, width=width, dark=dark)
-            browser.wait("document.body.dataset.ready")
-            assert (
-                int(browser.run("return document.body.dataset.ready"))
-                == np.isfinite(planes["x"]).sum()
-            )
-            browser.settle()
-            assert browser.run(drawn.format("cloud")) > 20
-            assert browser.run(drawn.format("image")) > 3
-            assert browser.run("return document.documentElement.scrollWidth") <= width
-        line, column = np.argwhere(np.isfinite(planes["x"]))[0]
-        browser.run(f"location.hash = '{line},{column}'")
-        browser.wait("document.querySelectorAll('#shot dd').length > 3")
-        shown = browser.run(
-            "return Array.from(document.querySelectorAll('#shot dd'), (each) => each.textContent)"
-        )
-        assert shown[:2] == [str(line), str(column)]
-        assert f"{planes['range'][line, column]:.3f} m" in shown
-        why = browser.run("return document.querySelector('#why').textContent")
-        assert (
-            why
-            == f"Why this class? prc explain static.npz --preset street-scan --at {line},{column}"
-        )
-        names = {entry["place"]: entry["name"] for entry in about["classes"]}
-        assert shown[2] == names[int(planes["class"][line, column])]
-        press = (
-            "document.getElementById('image').dispatchEvent(new KeyboardEvent('keydown', {key: "
-            "'ArrowRight'}))"
-        )
-        browser.run(press.replace("ArrowRight", "ArrowLeft") if about["mirrored"] else press)
-        browser.wait(f"document.querySelector('#shot dd').textContent !== '{line}'")
-        browser.click("#image")
-        browser.wait(f"document.querySelector('#shot dd').textContent > {line + 5}")
-        browser.run("document.querySelectorAll('#legend input').forEach((each) => each.click())")
-        browser.settle()
-        empty = (
-            "const c = document.getElementById('image');"
-            "const d = new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, "
-            "c.height).data.buffer);"
-            "return d.filter((one) => one === d[0]).length / d.length"
-        )
-        assert browser.run(empty) > 0.98
-        assert browser.errors() == []
 
 
 def test_poses_place_the_shots_of_a_leaning_scanner(tmp_path: Path) -> None:

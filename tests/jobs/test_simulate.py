@@ -16,7 +16,7 @@ from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.formats.labels import open_codes
-from prc_cli.jobs.classify import classify, open_stream
+from prc_cli.jobs.classify import open_stream
 from prc_cli.jobs.simulate import Beside, simulate
 from prc_cli.simulation.settings import Kind, Settings, load_settings, open_simulation
 
@@ -131,30 +131,6 @@ def test_a_frame_that_is_none_is_refused_by_the_name_of_its_file(
         )
     assert error.value.where == str(tmp_path / (track or "drive.laz"))
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".npz", ".laz", ".csv"])
-def test_a_static_scan_can_be_classified_by_its_own_method(tmp_path: Path, suffix: str) -> None:
-    out = tmp_path / f"station{suffix}"
-    settings = load_settings(
-        "street-scan", options={"seed": 3, "scanner": {"azimuth_step_deg": 0.5}, "lines": 200}
-    )
-    simulate("street-scan", out, settings)
-    labels = np.concatenate(
-        [item.labels for item in open_simulation("street-scan", settings).scan.labelled_blocks()]
-    )
-    inputs = (
-        {} if suffix == ".npz" else {"range": "dimension:range" if suffix == ".laz" else "auto"}
-    )
-    classify(out, tmp_path / "labels.npy", config(out, "street-scan", **inputs))
-    codes = np.load(tmp_path / "labels.npy").ravel()
-    truth = ClassCodes().lookup()[labels].ravel()
-    if suffix == ".laz":
-        truth = truth[truth != 0]
-    road = truth == ClassCodes().ground
-    horizontal = np.isin(codes, [ClassCodes().ground, ClassCodes().horizontal])
-    assert horizontal[road].mean() > 0.8
 
 
 @pytest.mark.slow

@@ -13,15 +13,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from prc_cli.config import load_config
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError
-from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.formats.las.rewrite import read_las
 from prc_cli.jobs.classify import classify
-from prc_cli.jobs.convert import convert
 from prc_cli.jobs.thin import CLASSIFY, parse_rules, thin
 from prc_cli.jobs.thin.rules import keep_by_pattern, keep_by_spacing
-from tests.jobs.test_convert import cloud, config, same_bits, scans, two_scanners
+from tests.jobs.test_convert import config, same_bits, scans, two_scanners
 from tests.street import angles, street
 
 
@@ -223,41 +220,6 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert list(out.iterdir()) == []
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".laz", ".csv"])
-def test_a_thinned_file_is_doubted_where_it_is_classified(
-    labelled: Path, tmp_path: Path, suffix: str
-) -> None:
-    """By the run record in the file or beside it, also of what was made of it."""
-    thin(labelled, tmp_path / f"a{suffix}", QUARTER)
-    convert(tmp_path / f"a{suffix}", tmp_path / "b.csv")
-    others = config(accept_doubts=[name for name in CHECK_NAMES if name != "thinned"])
-    for source in (tmp_path / f"a{suffix}", tmp_path / "b.csv"):
-        findings = [
-            doubt
-            for doubt in classify(source, source.with_suffix(".npy"), others).doubts
-            if doubt.check == "thinned"
-        ]
-        assert [
-            doubt.found.endswith("returns were dropped and are missing in this file")
-            for doubt in findings
-        ] == [True]
-    (tmp_path / "a.laz.prc.json").unlink(missing_ok=True)
-    doubts = classify(tmp_path / f"a{suffix}", tmp_path / "again.npy", others).doubts
-    assert "thinned" in {doubt.check for doubt in doubts}
-
-
-def test_labels_made_on_the_way_are_checked(tmp_path: Path) -> None:
-    image = street()
-    rng = np.random.default_rng(1)
-    stray = rng.random(image.shape) < 0.2
-    image[stray] = rng.uniform(1, 80, int(stray.sum()))
-    np.savez(tmp_path / "drive.npz", range_m=image, angle_deg=np.rad2deg(angles()))
-    for n, rules in enumerate((config(), config(accept_doubts=["noise-share"]))):
-        summary = thin(tmp_path / "drive.npz", tmp_path / f"{n}.npz", config=rules, labels=CLASSIFY)
-        assert [doubt.check for doubt in summary.doubts] == ["noise-share"][n:]
-
-
 def frame(path: Path) -> Any:
     """A frame of 16 rings as KITTI stores it, with points that share a cell.
 
@@ -277,34 +239,3 @@ def frame(path: Path) -> Any:
     points[[5, 901], :3] *= 1.01
     points.astype("<f4").tofile(path)
     return points.astype("<f4")
-
-
-def test_thinned_frames_are_points_and_nothing_else(tmp_path: Path) -> None:
-    """In the order of the input and as it stores them; the grid only where it is asked for."""
-    points = frame(tmp_path / "f.bin")
-    labels = np.where(np.arange(len(points)) % 3 == 0, 5, 2).astype(np.uint8)
-    np.save(tmp_path / "labels.npy", labels)
-    fields = [{"name": name, "type": "f4"} for name in ("x", "y", "z", "intensity")]
-    inputs = {"lines": "rings", "range": "sensor-xyz", "points_per_line": 16}
-    loaded = load_config(options={"input": inputs, "layout": {"fields": fields}})
-    rules = parse_rules(drop=["noise,vegetation"])
-    for name in ("thin.bin", "thin.ply", "thin.pcd"):
-        thin(tmp_path / "f.bin", tmp_path / name, rules, loaded, labels=tmp_path / "labels.npy")
-    left = points[labels == 2]
-    points_left = np.fromfile(tmp_path / "thin.bin", "<f4").reshape(-1, 4)
-    np.testing.assert_array_equal(points_left[:, :3], left[:, :3])
-    assert np.count_nonzero(points_left[:, 3] != left[:, 3]) <= 2, "a cell has one intensity"
-    for name in ("thin.ply", "thin.pcd"):
-        np.testing.assert_array_equal(
-            np.sort(cloud(tmp_path / name), axis=0), np.sort(left[:, :3], axis=0)
-        )
-        assert (tmp_path / name).stat().st_size < (tmp_path / "f.bin").stat().st_size
-    thin(
-        tmp_path / "f.bin",
-        tmp_path / "grid.ply",
-        rules,
-        loaded,
-        labels=tmp_path / "labels.npy",
-        keep_empty=True,
-    )
-    assert (tmp_path / "grid.ply").stat().st_size > 720 * 16 * 28

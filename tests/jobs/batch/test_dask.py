@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from prc_cli.config import LoadedConfig, load_config
-from prc_cli.core.errors import ConfigError, PrcError
+from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import temporary_name
 from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.jobs.batch import dask_engine
@@ -397,69 +397,6 @@ def test_worker_killed_in_mid_run(machines: Machines, tmp_path: Path) -> None:
     assert len(
         [name for name in left_in(tmp_path / "out") if not name.endswith(".part")]
     ) == 2 * len(tasks)
-
-
-@pytest.mark.long
-@pytest.mark.skipif(os.name != "posix", reason="signals")
-def test_scheduler_killed_in_mid_run(machines: Machines, tmp_path: Path) -> None:
-    tasks = tasks_in(tmp_path, {"a.npy": 60_000, "b.npy": 60_000}, m=100)
-    with pytest.raises(PrcError, match="scheduler: went away .*run again"):
-        for event in DaskEngine(machines.address).run(iter(tasks), EngineSettings()):
-            if isinstance(event, Progress):
-                with suppress(ProcessLookupError):
-                    os.killpg(machines.scheduler.pid, signal.SIGKILL)
-
-
-@pytest.mark.long
-@pytest.mark.skipif(os.name != "posix", reason="signals")
-@pytest.mark.parametrize("machines", [0], indirect=True)
-def test_file_that_kills_its_workers(machines: Machines, tmp_path: Path) -> None:
-    lines = {"poison.npy": 40_000, **{f"{i}.npy": 300 for i in range(4)}}
-    tasks = tasks_in(tmp_path, lines, m=100)
-    pids = machines.client.run(os.getpid)
-    events: list[Event] = []
-    for event in DaskEngine(machines.address).run(iter(tasks), EngineSettings()):
-        events.append(event)
-        if isinstance(event, Started) and event.name == "poison.npy":
-            os.kill(pids[event.worker], signal.SIGKILL)
-    results = outcomes(events)
-    failed = results.pop("poison.npy")
-    assert isinstance(failed, Failed)
-    assert failed.problem.kind == "killed"
-    assert 0 <= failed.seconds < HANGS_S
-    assert "1 workers died" in failed.problem.problem
-    assert len([outcome for outcome in results.values() if isinstance(outcome, Done)]) >= 3
-
-
-@pytest.mark.long
-@pytest.mark.skipif(os.name != "posix", reason="signals")
-def test_ctrl_c_on_a_terminal(machines: Machines, tmp_path: Path) -> None:
-    """The whole group of processes hears it.
-
-    The run rolls back and says so, the workers say nothing.
-    """
-    tasks_in(tmp_path, {f"{i}.npy": 60_000 for i in range(6)}, m=100)
-    command = [
-        sys.executable,
-        "-m",
-        "prc_cli",
-        "batch",
-        str(tmp_path / "in"),
-        str(tmp_path / "out"),
-        "--scheduler",
-        machines.address,
-        *(word for name in CHECK_NAMES for word in ("--accept-doubt", name)),
-    ]
-    with (tmp_path / "said").open("wb") as said:
-        how = {"stdout": said, "stderr": said, "start_new_session": True}
-        with patience.start([*command, "--jobs", "2"], **how) as process:
-            wait_until(lambda: list((tmp_path / "out").glob("*.npy")))
-            os.killpg(process.pid, signal.SIGINT)
-            assert process.wait(HANGS_S) == 130
-    text = (tmp_path / "said").read_text()
-    assert "interrupted" in text
-    assert "Traceback" not in text
-    assert not [name for name in left_in(tmp_path / "out") if name.endswith(".part")]
 
 
 def test_lines_are_reported_once_whatever_attempt_comes_to_them(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -11,13 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli.cli import cli
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.batch import run as batch_run
 from prc_cli.jobs.batch.discovery import Drives, discover
 from prc_cli.jobs.batch.engine import EngineSettings, Event, Started
 from prc_cli.jobs.batch.journal import read_entries
-from prc_cli.jobs.batch.outcomes import Done, Failed, Problem
+from prc_cli.jobs.batch.outcomes import Failed, Problem
 from prc_cli.jobs.batch.plan import Plan
 from prc_cli.jobs.batch.run import plan_batch, run_batch
 from prc_cli.jobs.batch.types import OWN_FOLDER, BatchSettings, ConfigLayers, Shard, Task
@@ -25,7 +23,6 @@ from prc_cli.jobs.batch.worker import run_item
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.drive import classify_drive
 from tests.jobs.test_drive import CUTS, URBAN, WITH_M, cut_laz, cut_raw
-from tests.runner import runner
 from tests.street import POINTS_PER_LINE
 
 LAYERS = ConfigLayers(
@@ -224,24 +221,3 @@ def test_parts_are_numbered_by_the_last_wildcards() -> None:
     for bad in ("drive.laz", "night/**", "n*/drive.laz", ""):
         with pytest.raises(ConfigError, match="a wildcard in the file name"):
             Drives([bad])
-
-
-@pytest.mark.slow
-def test_one_command_takes_an_archive_of_drives(settings: BatchSettings) -> None:
-    words = [
-        "batch",
-        str(settings.archive),
-        str(settings.out),
-        "--drive",
-        PATTERN,
-        "--preset",
-        "urban",
-    ]
-    done = runner().invoke(cli, [*words, "-M", str(POINTS_PER_LINE), "--jobs", "2"])
-    assert done.exit_code == 0, done.output
-    assert "[3/3] done drive_2.bin" in done.output
-    summary = json.loads((settings.out / "summary.json").read_text())
-    assert (summary["counts"]["done"], len(labels_in(settings))) == (3, 3)
-    again = runner().invoke(cli, ["batch", "retry", str(settings.out)])
-    assert "nothing to do" in again.output
-    assert isinstance(next(iter(read_entries(settings.out / OWN_FOLDER))).outcome, Done)

@@ -14,7 +14,7 @@ import pytest
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.formats.writing.record import record_path
-from prc_cli.jobs.batch.references import NO_REFERENCE, Output, check_reference, evaluate_tree
+from prc_cli.jobs.batch.references import Output, check_reference, evaluate_tree
 from prc_cli.jobs.batch.types import ReferenceSettings
 from prc_cli.jobs.evaluate import evaluate_all
 from tests.fuzz.crafted import overflowing
@@ -85,17 +85,6 @@ def test_the_mapping_is_that_of_the_method_in_the_run_records(tmp_path: Path) ->
     assert evaluate_tree(outputs, ReferenceSettings(tree, "prc")).as_dict()["mapping"] == "prc"
     with pytest.raises(ConfigError):
         check_reference(ReferenceSettings(tree, gates=("recall.dragon=0.5",)))
-
-
-@pytest.mark.slow
-def test_a_file_without_reference_is_named_and_the_others_are_pooled(tmp_path: Path) -> None:
-    outputs, tree = trees(tmp_path)
-    (tree / "a.npy").unlink()
-    evaluation = evaluate_tree(outputs, ReferenceSettings(tree))
-    assert [item.name for item in evaluation.unpaired] == ["a.npz"]
-    assert evaluation.unpaired[0].problem is not None
-    assert evaluation.unpaired[0].problem.kind == NO_REFERENCE
-    assert evaluation.matrix.n_scored == 7
 
 
 @pytest.mark.slow

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
 import shutil
-import signal
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,10 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import BusyError, ConfigError, InputError, PrcError
 from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
-from prc_cli.formats.writing.record import record_path
 from prc_cli.jobs.batch import run as batch_run
 from prc_cli.jobs.batch.engine import EngineSettings, Event, Started
 from prc_cli.jobs.batch.journal import read_entries, read_runs
@@ -36,7 +31,6 @@ from prc_cli.jobs.batch.types import (
     Task,
 )
 from prc_cli.jobs.batch.worker import run_task
-from tests import patience
 from tests.street import street, write_csv, write_npz, write_raw
 
 Script = Callable[[Task, int], Outcome]
@@ -115,17 +109,6 @@ def test_a_second_run_has_nothing_to_do(settings: BatchSettings) -> None:
     assert (engine.begun, engine.n_passes) == ([], 0), "no worker is started for nothing"
     assert (second.exit_code, second.n_skipped, second.done) == (0, 4, ())
     assert [run.exit_code for run in read_runs(settings.out / OWN_FOLDER)] == [0, 0]
-
-
-def test_one_bad_file_costs_itself(settings: BatchSettings) -> None:
-    engine = Scripted(
-        lambda task, _: failed(task, "InputError") if task.name == "b.npz" else finished(task)
-    )
-    summary = run_batch(settings, engine)
-    assert summary.exit_code == 1
-    assert [item.name for item in summary.done] == ["a.npz", "c.npz", "d.npz"]
-    assert [item.name for item in summary.failed] == ["b.npz"]
-    assert states(settings)["b.npz"] == "failed"
 
 
 @pytest.mark.parametrize(
@@ -475,71 +458,6 @@ def test_workers_that_cannot_be_started_leave_files_to_the_next_run(
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals")
 
-PROGRAM = """
-import os, pickle, signal, sys
-from pathlib import Path
-from prc_cli.core import files
-from prc_cli.jobs.batch import worker
-
-step, n = sys.argv[1], 0
-
-def die():
-    os.kill(os.getpid(), signal.SIGKILL)
-
-link = files._link
-def dying(temporary, path):
-    global n
-    link(temporary, path)
-    n += 1
-    if n == int(step):
-        die()
-
-if step == "3":
-    worker._done = lambda *_: die()
-else:
-    files._link = dying
-worker.run_task(pickle.load(sys.stdin.buffer))
-"""
-
-
-def order(folder: Path) -> Task:
-    (folder / "out").mkdir()
-    source = write_npz(folder / "a.npz", street(80))
-    return Task("a.npz", source, folder / "out" / "a.npy", LoadedConfig(RunConfig()), "")
-
-
-def labels_in(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("step", "n_left"), [("1", 3), ("2", 4), ("3", 2)])
-def test_a_worker_dies_after_a_name_was_given(tmp_path: Path, step: str, n_left: int) -> None:
-    """Steps: the output has its name; the record too; both, and no temporary file is left."""
-    task = order(tmp_path)
-    root = Path(__file__).resolve().parents[3]
-    ended = patience.run(
-        [sys.executable, "-c", PROGRAM, step],
-        input=pickle.dumps(task),
-        env={**os.environ, "PYTHONPATH": str(root)},
-    )
-    assert ended.returncode == -signal.SIGKILL
-    # the spool is left as well, unless the writer got to its end
-    left = [
-        name
-        for name in labels_in(task.output.parent)
-        if not name.endswith(".part") or ".prc.json" in name
-    ]
-    assert task.output.name in left, left
-    assert len(labels_in(task.output.parent)) >= n_left
-    again = run_task(task)
-    assert isinstance(again, Done), again
-    undisturbed = replace(task, output=tmp_path / "alone.npy")
-    assert isinstance(run_task(undisturbed), Done)
-    assert task.output.read_bytes() == undisturbed.output.read_bytes()
-    assert record_path(task.output).read_bytes() == record_path(undisturbed.output).read_bytes()
-    assert set(labels_in(task.output.parent)) == {"a.npy", "a.npy.prc.json"}
-
 
 def test_outputs_of_another_archive_are_not_replaced(
     settings: BatchSettings, tmp_path: Path
@@ -570,10 +488,3 @@ def test_outputs_of_another_archive_are_not_replaced(
     assert third.exit_code == 0
     fourth = run_batch(replace(settings, archive=archive), Scripted())
     assert (fourth.exit_code, fourth.n_skipped) == (0, 5)
-
-
-def test_a_changed_file_of_the_same_archive_is_done_again(settings: BatchSettings) -> None:
-    run_batch(settings, Scripted())
-    (settings.archive / "b.npz").write_bytes(b"recorded again")
-    summary = run_batch(settings, Scripted())
-    assert (summary.exit_code, [item.name for item in summary.done]) == (0, ["b.npz"])

@@ -21,7 +21,7 @@ from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError, ExitCode
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.scores import GateResult
-from prc_cli.jobs.batch.drift import MIN_EARLIER, Alarm, drift
+from prc_cli.jobs.batch.drift import Alarm, drift
 from prc_cli.jobs.batch.outcomes import Doubted, Failed, Problem
 from prc_cli.jobs.batch.references import BatchEvaluation
 from prc_cli.jobs.batch.report import BatchSummary, write_summary
@@ -77,54 +77,6 @@ def test_the_file_is_written_whole_and_each_shard_has_its_own(tmp_path: Path) ->
     # a later run replaces it
     write_summary(summary(out=tmp_path, run="r2"))
     assert json.loads((tmp_path / "summary.json").read_text())["run"] == "r2"
-
-
-NAMES = ("NOISE", "GROUND", "OBJECT", "CAR")
-
-
-def shares_of(
-    rng: np.random.Generator, n: int, concentration: float = 300.0
-) -> list[dict[str, int]]:
-    """Histograms of streets that differ as streets do."""
-    shares = rng.dirichlet(np.array([0.05, 0.55, 0.35, 0.05]) * concentration, n)
-    return [
-        dict(zip(NAMES, map(int, row * rng.integers(10_000, 5_000_000)), strict=True))
-        for row in shares
-    ]
-
-
-def moved(
-    histogram: dict[str, int],
-    share: float,
-    source: str = "GROUND",
-    to: str = "NOISE",
-) -> dict[str, int]:
-    """The same file with a part of its records in another class."""
-    n = int(sum(histogram.values()) * share)
-    assert histogram[source] >= n
-    return {**histogram, source: histogram[source] - n, to: histogram[to] + n}
-
-
-@pytest.mark.parametrize("n_earlier", [MIN_EARLIER, 30, 300])
-def test_a_quarter_of_the_records_in_another_class_is_an_alarm(n_earlier: int) -> None:
-    rng = np.random.default_rng(8)
-    alarms = [
-        drift(moved(shares, 0.25), shares_of(rng, n_earlier)) for shares in shares_of(rng, 100)
-    ]
-    assert sum(text is not None for text in alarms) >= 99 - 10 * (n_earlier == MIN_EARLIER)
-
-
-@pytest.mark.parametrize("n_earlier", [0, 1, MIN_EARLIER - 1])
-def test_few_earlier_files_say_nothing(n_earlier: int) -> None:
-    assert drift({"NOISE": 1}, [{"GROUND": 100}] * n_earlier) is None
-
-
-def test_a_smaller_kind_of_drive_is_known_after_some() -> None:
-    rng = np.random.default_rng(10)
-    forest = [{"NOISE": 2, "GROUND": 20 + i % 3, "OBJECT": 78 - i % 3, "CAR": 0} for i in range(10)]
-    town = shares_of(rng, 50)
-    assert drift(forest[0], town) is not None
-    assert drift(forest[5], town + forest[:5]) is None
 
 
 @pytest.fixture

@@ -196,11 +196,6 @@ def test_labels_alone_against_filtered_and_shuffled_tiles(
         )
 
 
-@pytest.mark.parametrize("match", ["time", "dimension:record", "nearest"])
-def test_points_with_labels_need_no_other_file(drive: Drive, folder: Path, match: str) -> None:
-    assert_same(run(folder / "labelled.csv.gz", folder / "tiles", **by(match)), drive.matrix())
-
-
 def test_an_image_with_xyz_and_time(drive: Drive, folder: Path, tmp_path: Path) -> None:
     shape = (-1, M)
     np.savez(
@@ -287,23 +282,6 @@ def test_pairs_of_unknown_range_are_a_part_and_parts_without_scored_pairs_are_le
     )
     assert len(swapped.splits["lines"]) == 2
     assert "lines: taken from the reference" in swapped.match.notes
-
-
-def test_intervals_hold_the_score_and_do_not_depend_on_the_match(
-    drive: Drive, folder: Path
-) -> None:
-    options = {"intervals": True, "interval_lines": 10, "predicted_points": folder / "raw.csv.gz"}
-    evaluation = run(folder / "labels.npy", folder / "tiles", match="time", **options)
-    assert evaluation.interval_method.startswith("block jackknife, 30 blocks of 10 scan lines")
-    recall = evaluation.intervals["recall.ground"]
-    assert recall.low < evaluation.matrix.row_shares()[0, 0] < recall.high < recall.low + 0.1
-    assert (
-        run(folder / "labels.npy", folder / "tiles", **EXACT, **options).intervals
-        == evaluation.intervals
-    )
-    np.save(folder / "truth.npy", drive.truth)
-    records = run(folder / "labels.npy", folder / "truth.npy", intervals=True, interval_lines=1)
-    assert "30 blocks of 1000 records" in records.interval_method
 
 
 def refused(error: type[PrcError], act: Callable[[], object]) -> str:
@@ -579,43 +557,6 @@ def test_cells_have_the_colours_of_their_classes(tmp_path: Path) -> None:
     assert _worst(np.array([[0, 0, 0], [3, 2, 1], [1, 0, 2]])).tolist() == [0, 1, 3]
 
 
-def test_records_without_their_missing_shots_are_drawn_in_their_cells(tmp_path: Path) -> None:
-    """LAS holds no shots without return: its records are no image."""
-    m = 40
-    n = 30
-    line, column = np.divmod(np.arange(n * m), m)
-    returned = np.random.default_rng(3).random(n * m) < 0.7
-    las = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
-    las.x = las.y = las.z = column[returned].astype(float)
-    for name, values in (("scan_line", line), ("column", column)):
-        las.add_extra_dim(laspy.ExtraBytesParams(name, "i4"))
-        las[name] = values[returned]
-    las.classification = np.where(column < m // 2, 2, 7).astype(np.uint8)[returned]
-    las.write(tmp_path / "cells.las")
-    np.save(tmp_path / "codes.npy", np.asarray(las.classification))
-    mapping = ClassMapping(
-        predicted={"ground": (2,), "noise": (7,)}, reference={"ground": (2,), "noise": (7,)}
-    )
-    for pair in (
-        ("cells.las", "cells.las"),
-        ("cells.las", "codes.npy"),
-        ("codes.npy", "cells.las"),
-    ):
-        for title, content in class_pictures(tmp_path / pair[0], tmp_path / pair[1], mapping, m)[
-            :2
-        ]:
-            image = np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
-            for half, name in (
-                (image[: len(image) // 2], "ground"),
-                (image[len(image) // 2 :], "noise"),
-            ):
-                seen = {tuple(one) for one in half.reshape(-1, 3).tolist()}
-                assert seen == {colour(name), WHITE}, (pair, title)
-    las.remove_extra_dims(["scan_line", "column"])
-    las.write(tmp_path / "bare.las")
-    assert class_pictures(tmp_path / "bare.las", tmp_path / "bare.las", mapping, m) == ()
-
-
 @pytest.mark.parametrize("rising", [True, False])
 @pytest.mark.parametrize("folder", [True, False])
 def test_the_sky_is_at_the_top_whichever_way_the_columns_run(
@@ -651,23 +592,3 @@ def test_the_sky_is_at_the_top_whichever_way_the_columns_run(
     image = np.asarray(Image.open(io.BytesIO(pictures[0][1])).convert("RGB"))
     assert tuple(image[0, 0].tolist()) == colour("noise")
     assert tuple(image[-1, 0].tolist()) == colour("ground")
-
-
-@pytest.mark.data
-def test_a_street_stands_as_in_its_rendering(real_data: Path) -> None:
-    street = real_data / "oakland" / "oakland_1.csv.gz"
-    pictures = class_pictures(
-        street,
-        street,
-        ClassMapping(
-            unlisted="other",
-            predicted={"ground": ("1200-1206",)},
-            reference={"ground": ("1200-1206",)},
-        ),
-        229,
-    )
-    image = np.asarray(Image.open(io.BytesIO(pictures[0][1])).convert("RGB"))
-    ground = (image == np.array(colour("ground"))).all(axis=2).sum(axis=1)
-    tenth = len(ground) // 10
-    assert ground[-tenth:].max() > 1000
-    assert ground[:tenth].max() < 50

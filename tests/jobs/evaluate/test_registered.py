@@ -21,7 +21,6 @@ from prc_cli.evaluation.html import as_html
 from prc_cli.evaluation.mapping import ClassMapping
 from prc_cli.evaluation.reports import as_dict, as_markdown
 from prc_cli.evaluation.scores import Evaluation
-from prc_cli.formats.trajectory import read_turns
 from prc_cli.jobs.evaluate import evaluate_all
 from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.jobs.transfer import transfer
@@ -449,28 +448,6 @@ def test_a_wrong_mount_is_refused_or_scores_nothing(drive: Path) -> None:
     done = evaluate(drive, "--max-distance", "0.05")
     assert done.exit_code == 1
     assert "found a partner" in f"{done.output} {done.exception}"
-
-
-def test_sbet_and_csv_of_one_drive_turn_alike(tmp_path: Path) -> None:
-    pytest.importorskip("pyproj")
-    for name in ("a.csv", "a.sbet"):
-        arguments = [
-            "simulate",
-            "street",
-            str(tmp_path / f"{name}.npz"),
-            "--lines",
-            "6",
-            "--seed",
-            "3",
-            "-q",
-        ]
-        arguments += ["--set", "frame.crs=EPSG:32635", "--trajectory", str(tmp_path / name)]
-        done = runner().invoke(cli, arguments)
-        assert done.exit_code == 0, done.output
-    csv_turns, sbet_turns = (
-        read_turns(tmp_path / name, "EPSG:32635") for name in ("a.csv", "a.sbet")
-    )
-    assert np.abs((csv_turns * sbet_turns).sum(axis=1)).min() > 1 - 1e-12
 
 
 def test_a_registered_reference_is_refused_by_order_with_the_option_that_reads_it(
