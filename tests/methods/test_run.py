@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from operator import attrgetter
 
 import numpy as np
 import pytest
 
-from prc_cli.config import RunConfig, load_config
-from prc_cli.core.blocks import join
-from prc_cli.core.classes import LABELS_BY_REASON, Label, Reason
+from prc_cli.config import RunConfig
+from prc_cli.core.classes import Label, Reason
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, U8
-from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.base import Classifier, MethodParams, Needs, OneByOne, Part, Turn, Wanted
 from prc_cli.methods.forest.thresholds import FOREST
 from prc_cli.methods.fused.thresholds import STREET
@@ -23,7 +21,6 @@ from prc_cli.methods.reasons import FURTHER, RULES, VOTE, reason_table
 from prc_cli.methods.returns import label_extra_returns
 from prc_cli.methods.rings.thresholds import MANY
 from prc_cli.methods.run import run_blocks
-from prc_cli.simulation.settings import Kind, load_settings, open_simulation
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,17 +166,6 @@ def test_rule_one_return_at_a_time(zeta_p: float, zeta_s: float) -> None:
         np.testing.assert_array_equal(labels_extra, expected)
 
 
-SELDOM = {
-    Reason.FAR_BELOW,
-    Reason.ABOVE_TOP,
-    Reason.BEYOND_REACH,
-    Reason.UNDECIDED,
-    Reason.PROFILE,
-    Reason.CURB_REGION,
-}
-"""Rules that the scans below need not have."""
-
-
 def test_every_reason_has_a_sentence_and_limits_that_exist() -> None:
     assert set(RULES) == set(Reason)
     assert len({rule.sentence for rule in RULES.values()}) == len(RULES)
@@ -198,73 +184,3 @@ def test_every_reason_has_a_sentence_and_limits_that_exist() -> None:
                 ]
     numbers = [number for number, *_ in reason_table()]
     assert numbers == [*sorted(RULES), 224, 240]
-
-
-SCANS: list[tuple[Kind, dict[str, object], tuple[str, ...]]] = [
-    ("street", {"lines": 500, "seed": 41}, ("fused", "prc-2019-urban", "street-scan")),
-    ("forest", {"lines": 120, "sight_m": 30.0, "seed": 42}, ("fused-forest", "prc-2019-forest")),
-]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("kind", "options", "presets"), SCANS)
-def test_reasons_are_those_of_the_labels(
-    kind: Kind, options: dict[str, object], presets: tuple[str, ...]
-) -> None:
-    """Over a million shots in streets; and who asks for reasons gets the same labels."""
-    scan = open_simulation(kind, load_settings(kind, options=options)).scan
-    block = join([item.block for item in scan.labelled_blocks()])
-    assert block.angle_rad is not None
-    block = replace(block, beam_rad=block.angle_rad)
-    for preset in presets:
-        params = load_config(preset=preset).config.classifier
-        labelled = [
-            list(label_blocks(iter([block]), params, wanted=Wanted(reasons=on)))
-            for on in (True, False)
-        ]
-        labels, plain = (np.concatenate([item.labels for item in items]) for items in labelled)
-        np.testing.assert_array_equal(labels, plain)
-        assert all(item.reasons is None for item in labelled[1]) or preset == "fused-forest"
-        reasons = np.concatenate([item.reasons for item in labelled[0] if item.reasons is not None])
-        np.testing.assert_array_equal(LABELS_BY_REASON[reasons], labels)
-        seen = set(np.unique(reasons).tolist())
-        assert seen <= {*(int(reason) for reason in Reason), *(240 + label for label in range(16))}
-        if preset.startswith("fused"):
-            names = [
-                reason
-                for reason in Reason
-                if (reason in _FOREST) == (kind == "forest") and reason in _FUSED
-            ]
-            missing = {reason for reason in names if int(reason) not in seen} - SELDOM
-            assert not missing
-
-
-_FOREST = {
-    Reason.FAR_BELOW,
-    Reason.ALONE,
-    Reason.SOIL,
-    Reason.FLAT,
-    Reason.ON_STEM,
-    Reason.BESIDE_STEM,
-    Reason.ABOVE_TOP,
-    Reason.PLANT,
-}
-_RINGS = {
-    Reason.FLAKE,
-    Reason.SURFACE,
-    Reason.THIN_SMOOTH,
-    Reason.ROUGH_PLACE,
-    Reason.LOW_PLANT,
-    Reason.CAR_BOX,
-    Reason.LARGE_BOX,
-    Reason.THIN_PLACE,
-}
-_FUSED = (
-    {
-        reason
-        for reason in list(Reason)[list(Reason).index(Reason.LONELY) :]
-        if "prc." not in str(RULES[reason].limits)
-    }
-    - {reason for reason in Reason if "sequential_angle" in str(RULES[reason].limits)}
-    - _RINGS
-)

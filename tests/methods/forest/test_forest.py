@@ -12,13 +12,10 @@ import numpy as np
 import pytest
 
 from benchmarks.ablation import changed
-from prc_cli.config import load_config
 from prc_cli.core.blocks import join
 from prc_cli.core.classes import LABELS_BY_REASON, Label
 from prc_cli.core.types import F32, F64, U8
-from prc_cli.jobs.classify import classify_ranges
 from prc_cli.methods.forest import classes as woods
-from prc_cli.methods.forest.range_noise import forest_noise
 from prc_cli.methods.forest.thresholds import FOREST, Forest
 from prc_cli.methods.plane import Plane
 from prc_cli.simulation.settings import load_settings, open_simulation
@@ -123,27 +120,3 @@ def test_stems_and_ground_of_a_simulated_walk() -> None:
         assert both > recall * np.count_nonzero(reference == label), label.name
         assert both > precision * np.count_nonzero(labels == label), label.name
     np.testing.assert_array_equal(labels == Label.MISSING, np.isnan(ranges))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("noise_m", [0.005, 0.01, 0.03])
-def test_stems_are_found_with_a_noisy_scanner(noise_m: float) -> None:
-    ranges, angle, reference = walk()
-    noisy = ranges + np.random.default_rng(1).normal(0, noise_m, ranges.shape).astype(np.float32)
-    measured = forest_noise(noisy)
-    assert measured is not None
-    assert measured == pytest.approx(noise_m, rel=0.25)
-    aware, not_aware = (
-        forest(noisy, Plane.of(angle), assumed_noise_m, FOREST)
-        for assumed_noise_m in (measured, 0.0)
-    )
-    stems = reference == Label.STEM
-    assert (aware == Label.STEM)[stems].mean() > 0.75
-    if noise_m == 0.03:
-        soil = reference == Label.GROUND
-        assert (aware == Label.GROUND)[soil].mean() > (not_aware == Label.GROUND)[soil].mean() + 0.1
-        accepted = load_config(
-            preset="fused-forest", options={"input": {"accept_doubts": ["range-noise"]}}
-        )
-        by_preset = classify_ranges(noisy, accepted, beam_rad=angle).labels
-        assert (by_preset == aware).mean() > 0.99

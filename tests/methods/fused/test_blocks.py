@@ -8,10 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import contest_data
-from benchmarks.contest_judge import judge
-from benchmarks.contest_methods import label
-from prc_cli.config import load_config
 from prc_cli.core.classes import Label
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, U8
@@ -132,17 +128,6 @@ def test_odd_columns_are_moved_by_half_a_line(late: float) -> None:
     assert np.array_equal(moved[:, ::2], wall(odd)[:, ::2])
 
 
-def test_lines_may_begin_with_either_half() -> None:
-    odd = np.arange(len(BEAM)) % 2 == 1
-    first = wall(np.where(odd, 0.5, 0.0))[:30]
-    second = wall(np.where(odd, -0.5, 0.0), lines=60)[30:]
-    moved = in_step(np.concatenate([first, second]))
-    whole = wall(np.zeros(len(BEAM)), lines=60)
-    off = np.abs(moved - whole).max(axis=1)
-    assert off[1:22].max() < 0.03
-    assert off[38:-1].max() < 0.03
-
-
 def test_others_stay() -> None:
     odd = np.where(np.arange(len(BEAM)) % 2 == 1, 0.5, 0.0)
     level = wall(0 * odd)
@@ -157,18 +142,6 @@ def test_missing_shots_stay_missing() -> None:
     ranges = wall(np.where(np.arange(len(BEAM)) % 2 == 1, 0.5, 0.0))
     ranges[10:12, 5:9] = np.nan
     assert np.array_equal(np.isnan(in_step(ranges)), np.isnan(ranges))
-
-
-@pytest.mark.usefixtures("real_data")
-def test_the_real_push_broom_is_interlaced(monkeypatch: pytest.MonkeyPatch) -> None:
-    scan = contest_data.oakland(1)
-    scores = {}
-    for name, least_rad in (("in step", STREET.interlace_rad), ("as measured", np.inf)):
-        monkeypatch.setattr(pipeline, "STREET", STREET._replace(interlace_rad=least_rad))
-        labels = label(scan, load_config(preset="fused"))
-        scores[name] = judge(scan, labels.codes, labels.extra_codes).f1()
-    for class_name in ("building", "vegetation"):
-        assert scores["in step"][class_name] > scores["as measured"][class_name] + 0.02
 
 
 def test_stages_and_loops_agree_on_what_lies_around_a_block() -> None:

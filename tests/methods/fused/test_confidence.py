@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import laspy
 import numpy as np
 import pytest
 
@@ -17,7 +16,7 @@ from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ExtraReturns, ScanBlock
 from prc_cli.core.types import U8
-from prc_cli.jobs.classify import classify, classify_ranges, label_blocks
+from prc_cli.jobs.classify import classify, label_blocks
 from prc_cli.methods.base import Wanted
 from prc_cli.methods.fused.confidence import MEASURES, N_QUESTIONS, QUESTIONS, load_table
 from tests.methods.fused.street_lines import BEAM, street_lines
@@ -111,36 +110,6 @@ def test_further_returns_have_that_of_the_shot_whose_label_they_take() -> None:
     assert first.extra_confidence is not None
     assert first.extra_confidence[0] in first.confidence[9:12, 196:205]
     assert first.extra_confidence[1] == 0  # agrees with no shot
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".laz", ".csv", ".parquet"])
-def test_files_hold_it(tmp_path: Path, suffix: str) -> None:
-    ranges = street_lines(140)[0]
-    np.savez(tmp_path / "s.npz", range_m=ranges, angle_deg=np.rad2deg(BEAM))
-    output = tmp_path / f"o{suffix}"
-    classify(tmp_path / "s.npz", output, load_config(options=ON))
-    expected = confidence("fused", ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))
-    if suffix == ".laz":
-        percentages = np.asarray(laspy.read(output)["confidence"])
-        expected = expected[~np.isnan(ranges)]
-    elif suffix == ".csv":
-        assert output.read_text().splitlines()[0] == "record,class,name,confidence"
-        percentages = np.loadtxt(output, delimiter=",", skiprows=1, usecols=3)
-    else:
-        import pyarrow.parquet as pq
-
-        percentages = pq.read_table(output)["confidence"].to_numpy()
-    np.testing.assert_array_equal(percentages, expected.ravel())
-
-
-def test_an_image_has_it() -> None:
-    ranges = street_lines(140)[0]
-    labelled = classify_ranges(ranges, load_config(options=ON), beam_rad=BEAM)
-    expected = confidence("fused", ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))
-    assert labelled.confidence is not None
-    np.testing.assert_array_equal(labelled.confidence, expected)
-    assert classify_ranges(ranges, load_config(preset="fused"), beam_rad=BEAM).confidence is None
 
 
 @pytest.mark.parametrize("preset", ["prc-2019-urban", "street-scan", None])

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import laspy
 import numpy as np
 import pytest
 
@@ -82,29 +81,6 @@ def test_prc_has_none(tmp_path: Path) -> None:
     classify(tmp_path / "s.npz", tmp_path / "o.csv", config)
     heading = (tmp_path / "o.csv").read_text().splitlines()[0]
     assert heading == "record,class,name,critical_zeta_p,critical_zeta_s"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".laz", ".csv"])
-def test_files_hold_them(tmp_path: Path, suffix: str) -> None:
-    ranges = street_lines(140)[0]
-    np.savez(tmp_path / "s.npz", range_m=ranges, angle_deg=np.rad2deg(BEAM))
-    config = load_config(options={"output": {"stages": True}, "input": {"nadir": 0.0}})
-    output = tmp_path / f"o{suffix}"
-    assert not [
-        notice
-        for notice in classify(tmp_path / "s.npz", output, config).record.notices
-        if "stages" in notice
-    ]
-    block = ScanBlock(0, ranges, beam_rad=BEAM, is_last=True)
-    expected = heights("fused", block, 128)
-    if suffix == ".laz":
-        las = laspy.read(output)
-        assert "surface" not in las.point_format.extra_dimension_names
-        above_m = np.asarray(las["height_above_ground"])
-        np.testing.assert_allclose(above_m, expected[~np.isnan(ranges)], atol=1e-4)
-    else:
-        assert output.read_text().splitlines()[0].endswith("height_above_ground")
 
 
 def test_a_stream_may_begin_amid_a_line_below_eaves() -> None:

@@ -93,17 +93,6 @@ def test_a_drive_that_stops_keeps_its_labels() -> None:
         )
 
 
-def test_labels_hardly_depend_on_the_size_of_blocks() -> None:
-    places = np.concatenate(
-        [np.arange(20), np.arange(80, 160) // 4, np.full(60, 40), np.arange(40, 48)]
-    )
-    ranges, _ = drive(places)
-    whole = labelled(ranges, 200)[0]
-    for k in (1, 7, 13, 64):
-        # every eighth line needs more lines around a block than are known
-        assert (labelled(ranges, k)[0] != whole).mean() < 0.001
-
-
 def test_lines_of_all_distances_equal_streams_of_these_lines() -> None:
     ranges, _ = street_lines(80)
     margin = SPACED_LINES - 3

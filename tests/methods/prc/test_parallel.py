@@ -10,14 +10,12 @@ from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, I64, U8
 from prc_cli.methods.base import Wanted
 from prc_cli.methods.prc import pipeline
-from prc_cli.methods.prc.pipeline import Prc, PrcParams, initial_state
+from prc_cli.methods.prc.pipeline import Prc, PrcParams
 from prc_cli.methods.run import run_blocks
 from tests.methods.prc.streams import (
-    TIGHT_LOOK_AHEAD,
     random_params,
     random_stream,
     run_stream,
-    trace_block,
 )
 
 
@@ -51,28 +49,6 @@ def test_threads_change_nothing(threads: int) -> None:
         labels, ids = run_threads(stream, params, threads, segments=False)
         np.testing.assert_array_equal(labels, expected)
         assert ids == [None] * len(ids)
-
-
-def test_labels_do_not_depend_on_whether_segments_are_asked_for() -> None:
-    """Patches take numbers of their own only then.
-
-    The order of the others, which ties go by, is the same.
-    """
-    for seed in range(200):
-        rng = np.random.default_rng(70_000 + seed)
-        params = random_params(rng)
-        stream = random_stream(rng)
-        expected, _ = run_stream(stream, params)
-        state = initial_state(stream.shape[1])
-        k = params.lines_per_block
-        ahead = TIGHT_LOOK_AHEAD.get(stream.shape[1], 2)
-        for first in range(0, len(stream), k):
-            following = stream[first + k : first + k + ahead]
-            trace, state = trace_block(
-                stream[first : first + k], following, state, params, segments=False
-            )
-            assert trace.segments is None
-            np.testing.assert_array_equal(trace.labels, expected[first : first + k])
 
 
 @pytest.mark.parametrize("stage", ["background", "identify", "count_smooth", "urban"])

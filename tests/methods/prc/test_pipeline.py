@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from math import comb
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -18,12 +15,10 @@ from prc_cli.methods.prc.pipeline import PrcParams
 from prc_cli.methods.prc.support import (
     SupportParams,
     critical_zetas,
-    required_counts,
     stream_window,
     support,
     window_reach,
 )
-from prc_cli.methods.prc.support_loops import support_mask
 from tests.methods.prc import paper
 from tests.methods.prc.streams import random_params, random_stream, run_stream, to_settings
 
@@ -170,43 +165,3 @@ def test_too_few_neighbours_never_support() -> None:
     zetas = critical_zetas(window, 5, SupportParams())
     assert zetas.in_line_m[0].tolist()[:3] == [0.0, 0.0, 0.0]
     assert np.isinf(zetas.adjacent_m[0, [0, 1, 2, 4]]).all()
-
-
-needs_compiler = pytest.mark.skipif(
-    bool(os.environ.get("NUMBA_DISABLE_JIT")), reason="millions of shots"
-)
-
-
-def uniform_window(n_lines: int, width: int, seed: int = 2019) -> F32:
-    ranges = np.random.default_rng(seed).uniform(0, 120, (n_lines, width)).astype(np.float32)
-    return stream_window(np.full(width + 1, np.nan, dtype=np.float32), ranges, None)
-
-
-def at_least(count: int, of: int) -> float:
-    """Probability that ``count`` or more of the neighbours are within 1 m, for ranges uniform in 0
-    to 120 m."""
-    p = 1 - (1 - 1 / 120) ** 2
-    return sum(comb(of, n) * p**n * (1 - p) ** (of - n) for n in range(count, of + 1))
-
-
-def test_printed_probabilities_belong_to_two_neighbours_in_both() -> None:
-    """IV-A prints .004 for 6 neighbours and .007 for 8: those of counts that are rounded down."""
-    assert required_counts(SupportParams(rounding="floor")) == (2, 2)
-    assert at_least(2, 6) == pytest.approx(0.0040, abs=5e-5)
-    assert at_least(2, 8) == pytest.approx(0.0072, abs=5e-5)
-    assert at_least(2, 6) * at_least(2, 8) == pytest.approx(3e-5, rel=0.1)
-
-
-@needs_compiler
-def test_random_ranges_support_each_other_as_seldom_as_printed() -> None:
-    window = uniform_window(2000, 2000)
-
-    def share(min_in_slice: int, min_adjacent: int) -> float:
-        return float(support_mask(window, 2000, 2000, 1.0, 1.0, min_in_slice, min_adjacent).mean())
-
-    assert share(0, 2) == pytest.approx(0.0040, abs=2e-4)
-    assert share(2, 0) == pytest.approx(0.0072, abs=2e-4)
-    assert share(2, 2) == pytest.approx(3e-5, abs=1.2e-5)
-    assert share(0, 3) == pytest.approx(at_least(3, 6), rel=0.15)
-    assert share(3, 0) == pytest.approx(0.00024, rel=0.15)
-    assert share(3, 2) < 3e-6

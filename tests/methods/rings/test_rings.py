@@ -327,34 +327,6 @@ def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
     return Prc(capsys)
 
 
-@pytest.mark.slow
-@pytest.mark.data
-def test_real_frames(prc: Prc, real_data: Path, tmp_path: Path) -> None:
-    """A frame of SemanticKITTI that chose no limit, and one with its z axis turned down."""
-    frame = real_data / "kitti" / "000000.bin"
-    reference = np.fromfile(frame.with_suffix(".label"), np.uint32) & 0xFFFF
-    output = tmp_path / "labels.npy"
-    result = prc("classify", frame, output)
-    assert result.code == 0, result.err
-    codes = np.load(output)
-    known = reference > 1
-    for code, names, least in (
-        (2, (40, 44, 48, 49, 60, 72), 0.97),
-        (6, (50, 51, 52), 0.84),
-        (5, (70, 71), 0.82),
-        (65, (10, 13, 16, 18, 20, 252), 0.75),
-    ):
-        true = np.isin(reference, names)
-        is_class = (codes == code) & known
-        assert 2 * (true & is_class).sum() / (true.sum() + is_class.sum()) > least, code
-    shots = np.fromfile(frame, np.float32).reshape(-1, 4)
-    shots[:, 1:3] *= -1
-    shots.tofile(tmp_path / "turned.bin")
-    result = prc("classify", tmp_path / "turned.bin", output, "--overwrite")
-    assert result.code == 0, result.err
-    assert (np.load(output) == codes).mean() > 0.99
-
-
 @pytest.mark.data
 def test_a_sweep_of_two_scanners(prc: Prc, real_data: Path, tmp_path: Path) -> None:
     """One hangs upside down; the file is in the frame of the vehicle."""

@@ -8,17 +8,15 @@ from numpy.random import Generator
 
 from prc_cli.core.classes import Surface
 from prc_cli.core.types import F32, I32, U8, Mask
-from prc_cli.methods.sequential_angle.angles import angle_differences, signed_angles
+from prc_cli.methods.sequential_angle.angles import signed_angles
 from prc_cli.methods.sequential_angle.car import fourier
-from prc_cli.methods.sequential_angle.coarse import car_surface, coarse, dense_vegetation
+from prc_cli.methods.sequential_angle.coarse import coarse
 from prc_cli.methods.sequential_angle.lines import VerticalLines
 from prc_cli.methods.sequential_angle.thresholds import (
-    DENSE_VEGETATION,
     ChordThresholds,
     CoarseThresholds,
     FourierThresholds,
     MarkovThresholds,
-    SurfaceThresholds,
 )
 from tests.methods.sequential_angle.scenes import lines_through, made, street_lines
 from tests.methods.sequential_angle.test_markov import SCRIPT, SLOW
@@ -115,31 +113,3 @@ def test_share_of_foliage_that_is_told(n: int, share: float) -> None:
     rows = foliage(np.random.default_rng(n), 600, n)
     recall = 1 - fourier(rows, whole(rows), WHOLE).mean()
     assert abs(recall - share) < 0.08
-
-
-FOLIAGE = DENSE_VEGETATION
-
-
-@pytest.fixture
-def foliage_rng() -> Generator:
-    return np.random.default_rng(71)
-
-
-def test_foliage_of_a_street(foliage_rng: Generator) -> None:
-    lines, truth = street_lines(foliage_rng, 40)
-    signed = signed_angles(lines, ChordThresholds().at_noise()).signed_deg
-    dense = dense_vegetation(angle_differences(signed), FOLIAGE)
-    image = car_surface(signed, dense, lines, SurfaceThresholds())
-    is_foliage = image == Surface.VEGETATION
-    vegetation = truth == Surface.VEGETATION
-    # measured on 180 lines: precision .89, recall .32, false positives .6 %
-    assert (is_foliage & vegetation).sum() / is_foliage.sum() > 0.85
-    assert 0.25 < (is_foliage & vegetation).sum() / vegetation.sum() < 0.45
-    assert is_foliage[~vegetation].mean() < 0.03
-    sensitive = coarse(signed, lines, CoarseThresholds()) == Surface.VEGETATION
-    assert (sensitive & vegetation).sum() > (is_foliage & vegetation).sum()
-    # every valid shot has a label, those of T outside T' one of their own
-    np.testing.assert_array_equal(image == Surface.MISSING, np.isnan(lines.range_m))
-    missed = image[sensitive & ~is_foliage]
-    assert len(missed)
-    assert set(missed.tolist()) <= {Surface.HORIZONTAL, Surface.VERTICAL}

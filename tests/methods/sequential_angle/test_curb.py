@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.random import Generator
 
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.methods.sequential_angle.curb import CurbState, _tail, curbs, possible_curbs
@@ -119,69 +117,6 @@ def test_a_region_of_very_many_lines_is_decided_and_what_follows_is_a_new_one() 
     curb, state = curbs(lines, surface, signed, beams, state, params, last=False)
     assert curb[:, 0].tolist() == [False] * 10 + [True] * 10
     assert state.n_waiting == 5
-
-
-def random_scene(
-    rng: Generator,
-    n_lines: int,
-    n_sides: int,
-    n: int,
-) -> Scene:
-    shape = (n_lines * n_sides, n)
-    surface = np.where(rng.random(shape) < 0.55, 3, rng.choice([0, 2], shape)).astype(np.uint8)
-    z = -1.75 + rng.choice([0.0, 0.06, 0.15, 0.21], shape, p=[0.6, 0.3, 0.09, 0.01])
-    xyz = np.stack([5 + np.arange(n) * 0.1 + 0 * z, 0 * z, z], axis=-1).astype(np.float32)
-    horizontal = np.hypot(xyz[..., 0], xyz[..., 1])
-    lines = VerticalLines(
-        np.linalg.norm(xyz, axis=-1),
-        xyz,
-        horizontal,
-        np.full(len(z), n, np.int32),
-        np.zeros((n_sides, n)),
-    )
-    signed = rng.choice([0.0, 15.0, 30.0], shape).astype(np.float32)
-    return Scene(lines, surface, signed, signed, surface.astype(np.int32))
-
-
-@pytest.mark.parametrize("n_sides", [1, 2])
-@pytest.mark.parametrize("max_lines", [3, 200])
-def test_cuts_change_nothing_and_memory_is_bounded(n_sides: int, max_lines: int) -> None:
-    rng = np.random.default_rng(8)
-    params = plain(max_lines=max_lines, max_height_m=0.18)
-    shown = 0
-    for _ in range(10):
-        scene = random_scene(rng, 40, n_sides, 12)
-        beams = rng.integers(-12, 12, len(scene.surface)).clip(-1).astype(np.int32)
-        start = CurbState.start(n_sides, 12, params)
-        whole, _ = curbs(scene.lines, scene.surface, scene.signed, beams, start, params, last=True)
-        assert len(whole) == len(scene.surface)
-        shown += int(whole.sum())
-        for cuts in (range(1, 40), np.sort(rng.integers(0, 41, 6)).tolist()):
-            edges = [0, *(cut * n_sides for cut in cuts), len(scene.surface)]
-            state = start
-            parts = []
-            for first, end in pairwise(edges):
-                part = scene.rows(first, end)
-                mask, state = curbs(
-                    part.lines,
-                    part.surface,
-                    part.signed,
-                    beams[first:end],
-                    state,
-                    params,
-                    last=False,
-                )
-                assert len(mask) % n_sides == 0
-                assert state.n_waiting < max_lines
-                assert len(state.regions.labels) <= max(max_lines, 1) * n_sides
-                parts.append(mask)
-            rest = scene.rows(0, 0)
-            mask, state = curbs(
-                rest.lines, rest.surface, rest.signed, beams[:0], state, params, last=True
-            )
-            np.testing.assert_array_equal(np.concatenate([*parts, mask]), whole)
-            assert state.n_waiting == 0
-    assert shown > 0
 
 
 @pytest.mark.parametrize("n", [0, 1, 3])

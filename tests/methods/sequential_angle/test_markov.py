@@ -136,30 +136,3 @@ def trigger(states: str, params: SuspiciousThresholds = PARAMS) -> int:
 
 def test_sky_fires() -> None:
     assert trigger("HHHVVVMMMM") == 6
-
-
-def chain(rng: Generator, matrix: tuple[tuple[float, float, float], ...], n: int) -> str:
-    states = [0]
-    for _ in range(n - 1):
-        states.append(int(rng.choice(3, p=matrix[states[-1]])))
-    return "".join("HVM"[state] for state in states)
-
-
-def test_sum_is_the_largest_log_likelihood_ratio_of_any_end_of_the_chain() -> None:
-    # S at beam k is max(0, max over j < k of ln P1(j+1..k | j) / P0(j+1..k | j))
-    rng = np.random.default_rng(7)
-    h0 = np.array(PARAMS.h0)
-    h1 = np.array(PARAMS.h1)
-    for _ in range(200):
-        states = chain(rng, PARAMS.h1 if rng.random() < 0.5 else PARAMS.h0, 14)
-        numbers = ["HVM".index(state) for state in states]
-        steps = list(pairwise(numbers))
-        best = [
-            max(
-                np.prod([h1[s] for s in steps[j:k]]) / np.prod([h0[s] for s in steps[j:k]])
-                for j in range(k)
-            )
-            for k in range(1, len(numbers))
-        ]
-        above = [k for k, ratio in enumerate(best, start=1) if ratio > np.e]
-        assert trigger(states) == (above[0] if above else -1)

@@ -11,7 +11,6 @@ import pytest
 from prc_cli.config import RunConfig, load_config
 from prc_cli.core.blocks import cut
 from prc_cli.core.classes import Label
-from prc_cli.core.loops import use_engine
 from prc_cli.core.stream import ExtraReturns, LabelledBlock, ScanBlock
 from prc_cli.core.types import U8
 from prc_cli.jobs.classify import label_blocks
@@ -122,16 +121,6 @@ def test_two_sides_are_classified_like_the_lines_that_they_are() -> None:
     m = block.points_per_line
     unfolded = np.concatenate([double[0][:, m:], double[0][:, :m][:, ::-1]])
     assert np.mean(unfolded == single[0]) > 0.99
-
-
-@pytest.mark.slow
-def test_every_loop_may_be_replaced_by_its_plain_form() -> None:
-    block, _ = scan(elevation_step=0.8, azimuth_step=3.0)
-    expected, _ = run(cuts(block, lines=40), PARAMS, block.n_lines)
-    with use_engine("reference"):
-        results, _ = run(cuts(block, lines=40), PARAMS, block.n_lines)
-    for result, expected_result in zip(results, expected, strict=True):
-        np.testing.assert_array_equal(result, expected_result)
 
 
 def test_lines_wait_for_the_first_heights_of_the_ground_and_no_longer() -> None:
