@@ -15,15 +15,6 @@ from prc_cli.evaluation.scores import gate_value, scores
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.evaluate import evaluate
 from prc_cli.jobs.info import inspect
-from tests.profiler import (
-    JAKARTO_M,
-    jakarto,
-    jakarto_input,
-    placed,
-    scanner_positions,
-    steps_apart,
-    write_trajectory,
-)
 
 pytestmark = [pytest.mark.slow, pytest.mark.data]
 
@@ -61,26 +52,6 @@ def test_oakland(
     assert gate_value(oakland_scores, "f1.vegetation") > vegetation
     if building is not None:  # the third strip has no building
         assert gate_value(oakland_scores, "f1.building") > building
-
-
-def test_profiler_from_time_and_trajectory(real_data: Path, tmp_path: Path) -> None:
-    source, recovered = jakarto(real_data)
-    las = laspy.read(source)
-    write_trajectory(tmp_path / "drive.csv", scanner_positions(las, recovered))
-    loaded = load_config(
-        preset="prc-2019-urban", options={"input": jakarto_input(tmp_path / "drive.csv")}
-    )
-    line, column, range_m, n_cells = placed(source, loaded, len(las))
-    # half of the shots had no return: they are back, as missing ones
-    assert n_cells == pytest.approx(4 * JAKARTO_M, rel=0.3)
-    same_line = line == recovered["line"]
-    steps = steps_apart(line, column, recovered)
-    assert same_line.mean() > 0.99
-    assert (steps <= 5).mean() > 0.95
-    assert np.nanmedian(np.abs(range_m - recovered["range_m"])) < 0.01
-    summary = classify(source, tmp_path / "out.las", loaded)
-    assert_only_classes_differ(source, tmp_path / "out.las")
-    assert summary.record.n_missing == pytest.approx(0.49 * n_cells, rel=0.1)
 
 
 def origin_above(las: laspy.LasData, height_m: float) -> str:
@@ -137,19 +108,3 @@ def test_unordered_files_are_refused_with_the_evidence(
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
     assert "not in the order" in inspect(source, options(**inputs)).problem
-
-
-def test_park_with_the_forest_preset(real_data: Path, tmp_path: Path) -> None:
-    source = real_data / "forest" / "tls_park.npz"
-    summary = classify(source, tmp_path / "park.laz", load_config(preset="prc-2019-forest"))
-    assert summary.counts.n_lines == 581
-    with np.load(source) as park:
-        n_missing = int(np.isnan(park["range_m"]).sum())
-    assert summary.record.n_missing == n_missing
-    las = laspy.read(tmp_path / "park.laz")
-    assert len(las) == 581 * 2089 - n_missing
-    assert set(np.unique(las.classification)) == {2, 5, 7, 64}
-    setup = inspect(source, load_config(preset="prc-2019-forest"))
-    assert setup.problem == ""
-    assert setup.period is not None
-    assert setup.period.points_per_line == 2089

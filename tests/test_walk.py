@@ -21,7 +21,6 @@ import prc_cli
 from prc_cli.cli import cli
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.config import samples_folder
-from prc_cli.formats.input import Input
 from tests.runner import runner
 from tests.street import angles, street
 
@@ -78,39 +77,6 @@ def test_profiler_ply(here: Path, real_data: Path) -> None:
     assert len(walk.typed) <= MOST_COMMANDS
 
 
-@pytest.mark.data
-def test_laz_with_times_alone(here: Path, real_data: Path) -> None:
-    write_registered(
-        sorted((real_data / "riegl").glob("*.ply"))[:2], here / "drive.laz", here / "path.csv"
-    )
-    walk = Walk()
-    walk.type("prc info drive.laz")
-    assert walk.command_after("type").endswith("--range points")
-    walk.type(walk.command_after("type"))
-    assert "method: fused" in walk.said
-    with laspy.open(here / "drive_classified.laz") as file:
-        codes = np.asarray(file.read().classification)
-    assert 0.4 < np.mean(codes == 2) < 0.7  # a road and its sidewalks
-    walk.type(walk.command_after("draw it"))
-    assert is_drawn(here / "drive_classified.png")
-    assert len(walk.typed) <= MOST_COMMANDS
-
-
-@pytest.mark.data
-def test_bag(here: Path, real_data: Path) -> None:
-    shutil.copy(real_data / "ros/sick_lms1xx_ros1.bag", here / "scan.bag")
-    walk = Walk()
-    # it was recorded in a room by a scanner that lies level: no direction is down, and fused says
-    # so
-    walk.type("prc info scan.bag")
-    assert "one the floor, the other a ceiling" in walk.said
-    walk.type("prc classify scan.bag scan_labels.npy --set input.nadir=0", code=4)
-    assert "warning: indoors" in walk.said
-    walk.type(walk.command_after("draw it"))
-    assert is_drawn(here / "scan_labels.png")
-    assert len(walk.typed) <= MOST_COMMANDS
-
-
 def test_text_in_millimetres_with_decimal_commas(here: Path) -> None:
     assert (
         runner()
@@ -163,59 +129,6 @@ def test_kitti_frame(here: Path, real_data: Path) -> None:
     walk.type(draw)
     assert is_drawn(here / "labels.png")
     assert len(walk.typed) <= MOST_COMMANDS
-
-
-def write_registered(sources: list[Path], output: Path, positions: Path) -> None:
-    """Write returns as a mapping system delivers them, without ranges, lines and angles.
-
-    And where the scanner was.
-    """
-    columns: dict[str, list[np.ndarray]] = {}
-    names = (
-        "time",
-        "x",
-        "y",
-        "z",
-        "x_origin",
-        "y_origin",
-        "z_origin",
-        "return_number",
-        "number_of_returns",
-    )
-    for path in sources:
-        source = Input.of(path).records()
-        assert source is not None
-        for chunk in source.chunks(names):
-            for name in names:
-                columns.setdefault(name, []).append(np.asarray(chunk.values[name], np.float64))
-    table = {name: np.concatenate(parts) for name, parts in columns.items()}
-    # the file repeats the first returns of a shot: of equal ones that with the highest count is the
-    # real one
-    order = np.lexsort((-table["number_of_returns"], table["return_number"], table["time"]))
-    key = np.stack([table["time"][order], table["return_number"][order]])
-    order = order[np.r_[True, np.any(np.diff(key) != 0, axis=0)]]
-    table = {name: values[order] for name, values in table.items()}
-    header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales = [0.001] * 3
-    header.offsets = [float(np.floor(table[axis].min())) for axis in "xyz"]
-    cloud = laspy.LasData(header)
-    cloud.x = table["x"]
-    cloud.y = table["y"]
-    cloud.z = table["z"]
-    cloud.gps_time = table["time"]
-    cloud.return_number = table["return_number"].astype(np.uint8)
-    cloud.number_of_returns = table["number_of_returns"].astype(np.uint8)
-    cloud.write(output)
-    time = np.arange(table["time"].min() - 0.01, table["time"].max() + 0.01, 0.01)
-    place = [np.interp(time, table["time"], table[f"{axis}_origin"]) for axis in "xyz"]
-    np.savetxt(
-        positions,
-        np.column_stack([time, *place]),
-        "%.4f",
-        delimiter=",",
-        header="time,x,y,z",
-        comments="",
-    )
 
 
 ROOT = Path(__file__).resolve().parent.parent

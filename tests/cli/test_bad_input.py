@@ -19,7 +19,6 @@ from prc_cli.formats.writing.base import StagedWriter
 from tests import patience
 from tests.cli.conftest import Prc
 from tests.formats.cloud_files import pcd
-from tests.messages import folded
 from tests.street import POINTS_PER_LINE, street, write_csv, write_npz, write_raw
 
 M = ("-M", str(POINTS_PER_LINE))
@@ -50,36 +49,6 @@ def test_odd_ranges_are_missing_and_counted(prc: Prc, tmp_path: Path) -> None:
     assert "not positive: 2 records" in result.err
     prc("classify", tmp_path / "plain.bin", tmp_path / "plain.npy", *M)
     assert np.array_equal(np.load(tmp_path / "odd.npy"), np.load(tmp_path / "plain.npy"))
-
-
-@pytest.mark.slow
-def test_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
-    small = tmp_path / "small"
-    small.mkdir()
-    mounted = patience.run(
-        ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(small)], capture_output=True
-    )
-    if mounted.returncode:
-        pytest.skip("mounting a small file system needs root")
-    try:
-        source = write_npz(tmp_path / "drive.npz", np.tile(street(), (20, 1)))
-        command = [
-            sys.executable,
-            "-m",
-            "prc_cli",
-            "classify",
-            str(source),
-            str(small / "labels.las"),
-            "-q",
-        ]
-        result = patience.run(command, capture_output=True, text=True)
-        assert result.returncode == 1
-        assert result.stderr.startswith("error: ")
-        assert "the disk is full" in result.stderr
-        assert len(folded(result.stderr).splitlines()) == 1
-        assert os.listdir(small) == []
-    finally:
-        patience.run(["umount", str(small)], check=True)
 
 
 def test_a_message_has_a_line_for_the_fault_the_reason_and_the_hint(

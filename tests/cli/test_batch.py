@@ -500,31 +500,6 @@ def test_a_folder_may_have_the_name_of_a_part(prc: Run, play: Callable[..., None
     assert (settings.archive, settings.out) == (Path("status"), Path("retry"))
 
 
-@pytest.mark.slow
-def test_a_reader_of_the_lines_that_goes_away_does_not_end_the_run(
-    office: tuple[Path, Path], tmp_path: Path
-) -> None:
-    command = [
-        *PRC,
-        "batch",
-        str(office[0]),
-        "out",
-        "--preset",
-        "urban",
-        "--exclude",
-        "night",
-        "--log-json",
-        "-",
-    ]
-    read, write = os.pipe()
-    os.close(read)
-    with os.fdopen(write, "wb") as pipe:
-        ended = patience.run(command, cwd=tmp_path, stdout=pipe, stderr=pipe)
-    assert ended.returncode == 0
-    assert (tmp_path / "out" / "drive.npz.labels.npy").exists()
-    assert json.loads((tmp_path / "out" / "summary.json").read_text())["counts"]["done"] == 1
-
-
 def test_drift_is_looked_at_unless_told_otherwise(prc: Run, play: Callable[..., None]) -> None:
     play()
     assert prc("a", "o").code == 0

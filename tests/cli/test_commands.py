@@ -15,7 +15,6 @@ import pyarrow.parquet as pq
 import pytest
 from numpy.typing import NDArray
 
-import prc_cli
 from prc_cli.cli import main, report
 from prc_cli.cli.next_step import output_for
 from prc_cli.config import load_config
@@ -30,13 +29,11 @@ from tests.cli.conftest import Prc
 from tests.jobs.test_transfer import Drive, N, write_las
 from tests.jobs.test_transfer import write_raw as write_raw_drive
 from tests.methods.fused.street_lines import BEAM, street_lines
-from tests.patience import HANGS_S, wait_until
+from tests.patience import wait_until
 from tests.street import (
     N_LINES,
     POINTS_PER_LINE,
-    angles,
     street,
-    write_endless,
     write_npz,
     write_raw,
 )
@@ -184,30 +181,6 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     result = prc("demo", "--output", folder, "--lines", "100", "--json", "--overwrite")
     assert list(json.loads(result.out)) == ["default"]
     assert result.err.splitlines()[-1] == "next, with your own file: prc info FILE"
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-def test_sigterm_leaves_nothing(tmp_path: Path) -> None:
-    import signal
-
-    source = write_endless(tmp_path / "drive.bin")
-    command = [
-        sys.executable,
-        "-m",
-        "prc_cli",
-        "classify",
-        str(source),
-        str(tmp_path / "a.laz"),
-        "-M",
-        "2000",
-        "-q",
-    ]
-    with patience.start(command) as run:
-        wait_until(lambda: list(tmp_path.glob(".a.laz.*")) or run.poll() is not None)
-        run.send_signal(signal.SIGTERM)
-        assert run.wait(HANGS_S) == 128 + signal.SIGTERM
-    assert sorted(os.listdir(tmp_path)) == ["drive.bin"]
 
 
 def test_what_takes_long_is_explained(
@@ -516,27 +489,6 @@ def test_a_layout_that_a_format_has_no_use_for_is_refused(prc: Prc, tmp_path: Pa
             "classify", dump, tmp_path / "p.npy", "--layout", layout, "-M", POINTS_PER_LINE
         ).err
     )
-
-
-def test_the_python_function_gives_the_codes_of_the_file(prc: Prc, tmp_path: Path) -> None:
-    """Numbers of the program and class codes cannot be mistaken for each other."""
-    image = street()
-    prc(
-        "classify",
-        write_raw(tmp_path / "drive.bin", image),
-        tmp_path / "o.npy",
-        "-M",
-        POINTS_PER_LINE,
-    )
-    classified = prc_cli.classify_ranges(image)
-    np.testing.assert_array_equal(
-        classified.codes, np.load(tmp_path / "o.npy").reshape(image.shape)
-    )
-    assert classified.counts["ground"] == np.count_nonzero(classified.codes == 2)
-    assert classified.counts["noise"] == np.count_nonzero(classified.labels == prc_cli.Label.NOISE)
-    assert repr(classified).startswith(f"{N_LINES} lines of {POINTS_PER_LINE} shots: ")
-    assert sum(classified.counts.values()) == image.size == len(angles()) * N_LINES
-    assert issubclass(prc_cli.EvidenceError, prc_cli.PrcError)
 
 
 @pytest.mark.slow

@@ -5,10 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import laspy
 import numpy as np
 import pytest
-from PIL import Image
 
 from tests.cli.conftest import Prc
 from tests.methods.fused.street_lines import BEAM, BUILDING, GROUND, street_lines
@@ -94,56 +92,6 @@ def test_thin_drops_what_is_not_sure(prc: Prc, folder: Path) -> None:
         refused = prc("thin", folder / "scan.npz", folder / "no.npz", *options, *least)
         assert (refused.code, expected_words in refused.err) == (2, True)
         assert not (folder / "no.npz").exists()
-
-
-@pytest.mark.slow
-def test_transfer_leaves_what_is_not_sure(prc: Prc, folder: Path) -> None:
-    labels = classified(prc, folder, ".laz")
-    las = laspy.read(labels)
-    codes = np.array(las.classification)
-    sure = np.array(las["confidence"])
-    las.classification[:] = 1
-    las.remove_extra_dim("confidence")
-    las.write(folder / "registered.laz")
-    command = (
-        "transfer",
-        labels,
-        folder / "registered.laz",
-        folder / "moved.laz",
-        "--match",
-        "record",
-    )
-    result = prc(*command, "--min-confidence", "95", "--carry", "confidence")
-    assert result.code == 0
-    assert "their label has a confidence below 95 %" in result.err
-    moved = laspy.read(folder / "moved.laz")
-    np.testing.assert_array_equal(moved.classification, np.where(sure >= 95, codes, 1))
-    np.testing.assert_array_equal(moved["confidence"], np.where(sure >= 95, sure, 0))
-    plain = ("transfer", folder / "registered.laz", labels, folder / "no.laz", "--match", "record")
-    refused = prc(*plain, "--min-confidence", "95")
-    assert (refused.code, "output.confidence=true" in refused.err) == (2, True)
-
-
-@pytest.mark.slow
-def test_render_draws_it(prc: Prc, folder: Path) -> None:
-    options = ("--preset", "fused", "--set", "input.nadir=0", "-q", "--steps", "classes,confidence")
-    assert prc("render", folder / "scan.npz", folder / "scan.png", *options).code == 0
-    labels = classified(prc, folder, ".laz")
-    cloud = ("--view", "top", "--colour", "confidence", "-q")
-    assert prc("render", labels, folder / "cloud.png", *cloud).code == 0
-    for name in ("scan.png", "cloud.png"):
-        with Image.open(folder / name) as picture:
-            assert len(picture.convert("RGB").getcolors(1 << 24) or ()) > 50
-    refused = prc(
-        "render",
-        folder / "scan.npz",
-        folder / "no.png",
-        "--preset",
-        "urban",
-        "--steps",
-        "confidence",
-    )
-    assert (refused.code, "no step of prc" in refused.err) == (2, True)
 
 
 def test_other_methods_refuse_in_one_line(prc: Prc, folder: Path) -> None:

@@ -138,18 +138,6 @@ def test_a_batch_chooses_for_every_file_and_resumes(prc: Prc, scans: Path) -> No
     assert {path: path.stat().st_mtime_ns for path in (scans / "out").rglob("*.npy")} != before
 
 
-def test_python_takes_the_same() -> None:
-    ranges = street_lines(140)[0]
-    fused = classify_ranges(ranges, load_config(preset="fused"), beam_rad=BEAM).labels
-    np.testing.assert_array_equal(classify_ranges(ranges, beam_rad=BEAM).labels, fused)
-    measured = classify_ranges(ranges, load_config(preset="fused")).labels
-    np.testing.assert_array_equal(classify_ranges(ranges).labels, measured)
-    assert np.mean(measured == fused) > 0.99
-    forest = forest_lines(140)
-    stems = classify_ranges(forest, load_config(preset="fused-forest"), beam_rad=BEAM).labels
-    np.testing.assert_array_equal(classify_ranges(forest, beam_rad=BEAM).labels, stems)
-
-
 def test_tables_and_presets_decide() -> None:
     assert RunConfig().method == "auto"
     assert not RunConfig().is_decided
@@ -164,38 +152,6 @@ def test_tables_and_presets_decide() -> None:
     assert from_layers([("a.toml", {"prc": {}})]).sources["method"] == "the table [prc]"
     with pytest.raises(ConfigError, match=r"the tables \[prc\] and \[fused\] and no method"):
         from_layers([("a.toml", {"prc": {}, "fused": {}})])
-
-
-@pytest.mark.slow
-def test_calibrate_then_classify_is_never_worse_than_nothing_told(prc: Prc, scans: Path) -> None:
-    """Where fused is taken, the configuration changes nothing.
-
-    PRC's parameters are for files without angles.
-    """
-    calibrated = prc("calibrate", scans / "street.npz", "-o", scans / "c.toml")
-    assert (calibrated.code, "there is nothing to calibrate" in calibrated.out) == (0, True), (
-        calibrated.err
-    )
-    assert load_config(scans / "c.toml").config == RunConfig()
-    for name, options in (("plain.npy", []), ("with.npy", ["--config", scans / "c.toml"])):
-        assert prc("classify", scans / "street.npz", scans / name, *options, "-q").code == 0
-    assert (scans / "plain.npy").read_bytes() == (scans / "with.npy").read_bytes()
-    result = prc(
-        "calibrate",
-        scans / "street.npz",
-        "--method",
-        "prc",
-        "-o",
-        scans / "c.toml",
-        "--overwrite",
-        "-q",
-    )
-    assert (result.code, load_config(scans / "c.toml").config.method) == (0, "prc")
-    np.save(scans / "few.npy", street_lines(140)[0][:, ::12])  # too few columns to measure angles
-    result = prc("calibrate", scans / "few.npy", "-o", scans / "c.toml", "--overwrite")
-    config = load_config(scans / "c.toml").config
-    assert (result.code, config.method, config.prc == RunConfig().prc) == (0, "auto", False)
-    assert "the configuration leaves the method open" in result.out
 
 
 @pytest.mark.slow

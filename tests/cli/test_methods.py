@@ -6,7 +6,6 @@ Every kind of input, and errors.
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -14,10 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli import classify_ranges, load_config
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.types import F32
-from tests import patience
 from tests.cli.conftest import Prc
 from tests.formats.organised_files import Scan, e57_fields, ptx_scan, write_e57, write_text
 from tests.methods.fused.street_lines import BEAM, street_lines
@@ -55,38 +52,6 @@ def ptx(folder: Path) -> Path:
 
 def e57(folder: Path) -> Path:
     return write_e57(folder / "scan.e57", [Scan(e57_fields(points()[0], keep_missing=True))])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("make", [npz, ptx, e57])
-def test_every_format_of_a_scan_gets_the_same_labels(
-    prc: Prc, tmp_path: Path, make: Callable[[Path], Path]
-) -> None:
-    source = make(tmp_path)
-    labels = tmp_path / "labels.npy"
-    result = prc("classify", source, labels, "--preset", "street-scan")
-    assert (result.code, result.out) == (0, ""), result.err
-    (tmp_path / "first").mkdir()
-    prc("classify", npz(tmp_path / "first"), tmp_path / "first.npy", "--method", "sequential-angle")
-    written = np.load(labels)
-    np.testing.assert_array_equal(written, np.load(tmp_path / "first.npy"))
-    np.save(tmp_path / "reference.npy", points()[2].ravel())
-    result = prc(
-        "evaluate",
-        labels,
-        tmp_path / "reference.npy",
-        "--mapping",
-        "street_scan",
-        "--format",
-        "markdown",
-    )
-    assert result.code == 0, result.err
-    assert "| car " in result.out
-    codes = ClassCodes()
-    reference = points()[2].ravel()
-    for label, share in ((Label.GROUND, 0.5), (Label.VERTICAL, 0.5), (Label.VEGETATION, 0.25)):
-        code = codes.code(label)
-        assert np.mean(written[reference == code] == code) > share, label.name
 
 
 def ptx_that_lies(folder: Path) -> Path:
@@ -229,67 +194,11 @@ def test_what_contradicts_itself_is_refused(
 
 
 M = len(BEAM)
-ANGLES = ("-M", str(M), "--set", "input.angle_start=-150", "--set", "input.angle_step=0.2")
-PRESETS = ("fused", "fused-forest")
 
 
 @pytest.fixture(scope="module")
 def ranges() -> F32:
     return street_lines(70)[0]
-
-
-@pytest.fixture
-def dump(ranges: F32, tmp_path: Path) -> Path:
-    """A raw dump of ranges, without angles."""
-    path = tmp_path / "street.bin"
-    path.write_bytes(ranges.tobytes())
-    return path
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("preset", PRESETS)
-def test_file_array_and_pipe_give_the_same_labels(
-    prc: Prc,
-    ranges: F32,
-    dump: Path,
-    preset: str,
-) -> None:
-    options = (
-        "--preset",
-        preset,
-        *ANGLES,
-        "--set",
-        "input.nadir=0",
-        "--set",
-        "fused.lines_per_block=32",
-    )
-    out = dump.with_name("labels.npy")
-    for threads in ("1", "3"):
-        result = prc("classify", dump, out, "--overwrite", "--threads", threads, *options)
-        assert result.code == 0, result.err
-        config = load_config(preset=preset, options={"fused": {"lines_per_block": 32}})
-        codes = config.config.classes.lookup()[
-            classify_ranges(ranges, config, beam_rad=BEAM).labels
-        ]
-        np.testing.assert_array_equal(np.load(out).reshape(ranges.shape), codes)
-    command = [sys.executable, "-m", "prc_cli", "stream", "-q", *options]
-    with dump.open("rb") as source:
-        piped = patience.run(command, stdin=source, capture_output=True, check=True).stdout
-    assert piped == np.load(out).tobytes()
-
-
-@pytest.mark.parametrize("preset", PRESETS)
-@pytest.mark.parametrize("shape", [(1, 61), (40, 1), (40, 2), (3, 61)])
-@pytest.mark.parametrize("value", [np.nan, 5.0])
-def test_small_and_dull_images_are_labelled(
-    preset: str, shape: tuple[int, int], value: float
-) -> None:
-    beam = np.deg2rad(np.linspace(-90, 90, shape[1]) if shape[1] > 1 else [0.0])
-    labels = classify_ranges(
-        np.full(shape, value), load_config(preset=preset), beam_rad=beam
-    ).labels
-    assert labels.shape == shape
-    assert ((labels == 0) == np.isnan(value)).all()
 
 
 @pytest.mark.data

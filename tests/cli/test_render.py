@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from tests.cli.conftest import Prc, Result
 from tests.street import street, write_npz
@@ -86,66 +85,3 @@ def test_refusals_are_one_line_each(prc: Prc, drive: Path, tmp_path: Path) -> No
     out.write_bytes(b"old")
     refused(prc("render", drive, out), 2, "exists already", "--overwrite")
     assert prc("render", drive, out, "--overwrite").code == 0
-
-
-@pytest.mark.slow
-@pytest.mark.data
-@pytest.mark.parametrize(
-    ("name", "options"),
-    [
-        (
-            "kitti/000000.bin",
-            [
-                "--preset",
-                "street-scan",
-                "--config",
-                "sample_configs/kitti_frame.toml",
-                "--reference",
-                "kitti/000000.label",
-                "--mapping",
-                "street_scan_kitti",
-            ],
-        ),
-        (
-            "kitti/000000.bin",
-            ["--config", "sample_configs/kitti_frame.toml", "--view", "top"],
-        ),
-        (
-            "oakland/oakland_1.csv.gz",
-            [
-                "--config",
-                "sample_configs/sick_push_broom.toml",
-                "--reference",
-                "oakland/oakland_1.csv.gz",
-                "--mapping",
-                "oakland",
-            ],
-        ),
-        (
-            "oakland/oakland_1.csv.gz",
-            ["--config", "sample_configs/sick_push_broom.toml", "--view", "top"],
-        ),
-        ("organised/pumpA.e57", ["--preset", "street-scan"]),
-        ("organised/pumpA.e57", ["--view", "top", "--colour", "range"]),
-        ("forest/tls_park.npz", ["--preset", "prc-2019-forest", "--only", "0:255"]),
-        ("las/als_strip_labelled.laz", ["--view", "top"]),
-    ],
-)
-def test_real_files(
-    prc: Prc,
-    real_data: Path,
-    tmp_path: Path,
-    name: str,
-    options: list[str],
-) -> None:
-    root = Path(__file__).resolve().parents[2]
-    arguments = [
-        str(root / o) if o.startswith("sample") else str(real_data / o) if "/" in o else o
-        for o in options
-    ]
-    result = prc("render", real_data / name, tmp_path / "a.png", *arguments, "--json", "--quiet")
-    assert result.code == 0, result.err
-    record = json.loads(result.out)
-    with Image.open(tmp_path / "a.png") as image:
-        assert record["size"] == list(image.size)
-        assert (np.asarray(image) < 250).any(axis=2).mean() > 0.01

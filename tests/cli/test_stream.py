@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import select
 import signal
@@ -16,7 +15,6 @@ import pytest
 
 from prc_cli.cli import main
 from tests import patience
-from tests.messages import folded
 from tests.patience import HANGS_S
 from tests.street import POINTS_PER_LINE, street
 
@@ -122,19 +120,3 @@ def test_a_block_leaves_when_two_more_lines_are_there_and_a_signal_ends_the_stre
     process.send_signal(signal.SIGTERM)
     out, _ = process.communicate(timeout=HANGS_S)
     assert (process.returncode, out) == (128 + signal.SIGTERM, b"")
-
-
-@pytest.mark.slow
-def test_doubts_are_told_and_end_with_exit_code_4() -> None:
-    thin = np.full((137, 18_000), np.nan, np.float32)
-    thin[:, :POINTS_PER_LINE] = street()
-    options = ("--preset", "prc-2019-urban", "-M", "18000", "--set", "prc.lines_per_block=16")
-    code, out, err = run(thin.tobytes(), *options, "-q")
-    assert (code, len(out)) == (4, thin.size)
-    assert err.startswith("warning: returns: ")
-    assert "; or --accept-doubt returns" in folded(err)
-    assert len(folded(err).splitlines()) == 1
-    code, _, err = run(thin.tobytes(), *options, "--json")
-    first, last = [json.loads(line) for line in err.splitlines()]
-    assert (code, last["doubts"]) == (4, [first["doubt"]])
-    assert (first["doubt"]["check"], first["doubt"]["verdict"]) == ("returns", "doubtful")

@@ -9,8 +9,6 @@ import laspy
 import numpy as np
 import pytest
 
-from prc_cli.config import load_config
-from prc_cli.jobs.classify import open_stream
 from tests.cli.conftest import Prc
 from tests.simulated import drive_arrays
 
@@ -102,37 +100,6 @@ def test_las_holds_the_records_of_the_window_alone(prc: Prc, folder: Path) -> No
     assert laspy.read(folder / "s.laz").header.point_count == np.count_nonzero(
         source.scan_line < 20
     )
-
-
-@pytest.mark.slow
-def test_convert_writes_the_window(prc: Prc, folder: Path) -> None:
-    source = laspy.read(folder / "d.laz")
-    inside = (source.scan_line >= 20) & (source.scan_line < 30)
-    result = prc(
-        "convert", folder / "d.laz", folder / "c.las", "--only", "+1.98:+2.98", "--overwrite"
-    )
-    assert result.code == 0, result.err
-    cloud = laspy.read(folder / "c.las")
-    assert np.array_equal(cloud.points.array, source.points.array[inside])
-    assert "only lines 20 to 29 were taken" in result.err
-    result = prc("convert", folder / "d.csv", folder / "c.csv", "--only", "50lines", "--overwrite")
-    assert "only lines 0 to 49 were taken" in result.err
-    for name in ("c.csv", "c.npz"):
-        assert (
-            prc(
-                "convert",
-                folder / "d.laz",
-                folder / name,
-                "--only",
-                "20:30",
-                "--overwrite",
-                "-q",
-            ).code
-            == 0
-        )
-        blocks = list(open_stream(folder / name, load_config(preset="prc-2019-urban")).blocks())
-        ranges = np.concatenate([block.range_m for block in blocks])
-        assert np.array_equal(ranges, np.load(folder / "d.npz")["range_m"][20:30], equal_nan=True)
 
 
 @pytest.mark.parametrize("command", [("batch", "."), ("thin", "d.laz"), ("render", "d.laz")])

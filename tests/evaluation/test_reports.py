@@ -10,13 +10,11 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from prc_cli.core.errors import InputError
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.html import Curve, as_html, line_chart
-from prc_cli.evaluation.mapping import ClassMapping, load_mapping
+from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.evaluation.reports import as_csv, as_dict, as_json, as_markdown, doubts
 from prc_cli.evaluation.scores import OVERALL_SCORES, Evaluation, Gate, check_gates, scores
 from tests.evaluation import samples
@@ -171,32 +169,6 @@ def test_text_of_users_is_shown_and_never_read_as_html() -> None:
 def test_pictures_that_are_not_png_are_refused() -> None:
     with pytest.raises(InputError, match="over: is no PNG picture"):
         as_html(samples.MATRIX, pictures=[("over", b"GIF89a")])
-
-
-@pytest.mark.slow
-@given(
-    names=st.lists(
-        st.sampled_from(["ground", "road-1", "a b", "other", "noise", "Tree_2"]),
-        min_size=1,
-        unique=True,
-    ),
-    seed=st.integers(0, 2**32 - 1),
-)
-def test_any_matrix_has_a_page(names: list[str], seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    counts = rng.integers(0, 10**6, (len(names), len(names))) * (
-        rng.random((len(names), len(names))) < 0.6
-    )
-    mapping = ClassMapping.model_construct(
-        unlisted="other",
-        ignore=(),
-        ignore_reference=(),
-        predicted=dict.fromkeys(names, (1,)),
-        reference=dict.fromkeys(names, ("2-3",)),
-    )
-    page = Page(as_html(ConfusionMatrix(tuple(names), tuple(names[::-1]), counts), mapping=mapping))
-    shown = ConfusionMatrix(tuple(names), tuple(names[::-1]), counts).trimmed()
-    assert all(f"{count:,}" in page.text for count in shown.counts.ravel().tolist())
 
 
 def test_curves_break_where_they_are_undefined_and_stay_in_the_frame() -> None:

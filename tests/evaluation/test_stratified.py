@@ -219,14 +219,3 @@ def test_intervals_contain_the_truth(name: str, monkeypatch: pytest.MonkeyPatch)
     covered = coverage(DRIVES[name], 300, 100)
     assert min(covered.values()) >= 0.88
     assert np.mean(list(covered.values())) >= 0.93
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(DRIVES))
-@pytest.mark.parametrize("n", [pytest.param(100, marks=pytest.mark.long), 300])
-def test_intervals_contain_the_truth_of_93_in_100(
-    name: str, n: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(stratified, "N_DRAWS", 600)
-    covered = coverage(DRIVES[name], n, 500)
-    assert min(covered.values()) >= 0.93, covered

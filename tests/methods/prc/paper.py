@@ -11,12 +11,15 @@ give the same labels and segments, bit for bit. This module shares no code with 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.types import F32, Mask
+from prc_cli.core.classes import Label
+from prc_cli.core.types import F32, I32, I64, U8, Mask
+from prc_cli.reference.prc.stages import dilate, fill_holes, is_intersection, label_components
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,35 @@ class Settings:
     density: float = 1 / 3
     noise_in_ground_columns: bool = True
     """Whether ground overwrites noise as well, in the forest."""
+
+
+@dataclass
+class Memory:
+    """What a block leaves to the next one."""
+
+    last_line: list[int]
+    """Labels of the smooth shots of its last line, 0 = none."""
+    totals: Counter[int] = field(default_factory=Counter)
+    """Pixels of every smooth segment so far."""
+    next_id: int = 1
+
+
+def classify_stream(range_m: F32, settings: Settings) -> tuple[U8, I64]:
+    """Label a whole stream (Algorithm 1).
+
+    ``range_m`` (n_lines, M) float32, metres; returns ``labels`` (n_lines, M) uint8, ``segments``
+    (n_lines, M) int64."""
+    supported = support(range_m, settings)
+    background = extended_background(range_m, supported, settings)
+    labels = np.zeros(range_m.shape, dtype=np.uint8)
+    segments = np.zeros(range_m.shape, dtype=np.int64)
+    memory = Memory(last_line=[0] * range_m.shape[1])
+    for first in range(0, len(range_m), settings.k):
+        block = slice(first, first + settings.k)
+        labels[block], segments[block] = _classify_block(
+            ~np.isnan(range_m[block]), supported[block], background[block], memory, settings
+        )
+    return labels, segments
 
 
 # II-B. Supported measurements
@@ -97,10 +129,161 @@ def _cover(r: F32, neighbourhood: tuple[int, ...], zeta: float) -> NDArray[np.in
 # II-C. Extension of background
 
 
+def extended_background(range_m: F32, supported: Mask, settings: Settings) -> Mask:
+    """Return G, the supported shots where two surfaces meet (9).
+
+    Both neighbours along the stream must be there.
+    """
+    r = range_m.ravel().astype(np.float64).tolist()
+    background = np.zeros(range_m.size, dtype=bool)
+    for i in np.flatnonzero(supported).tolist():
+        if 0 < i < len(r) - 1 and not math.isnan(r[i - 1] + r[i + 1]):
+            background[i] = is_intersection(
+                r[i - 1], r[i], r[i + 1], settings.form, settings.alpha, settings.d_c
+            )
+    return background.reshape(range_m.shape)
+
+
+def _classify_block(
+    valid: Mask,
+    supported: Mask,
+    background: Mask,
+    memory: Memory,
+    settings: Settings,
+) -> tuple[U8, I64]:
+    """Take a block through steps 3 to 6 and bring the memory up to date.
+
+    Return labels and segments R.
+    """
+    h = _smooth_image(supported, background, memory, settings)
+    v, n_patches = _nonsmooth_image(h, background, settings)
+    # step 5: R has the labels of V where there are any, else those of H
+    in_v = supported & (v > 0)
+    segments = np.where(in_v, v.astype(np.int64) + (memory.next_id - 1), np.where(supported, h, 0))
+    memory.next_id += n_patches
+    smooth = supported & ~in_v
+    memory.last_line = np.where(smooth[-1], segments[-1], 0).tolist()
+    # step 6
+    classify = _forest if settings.environment == "forest" else _urban
+    labels = classify(valid, supported, smooth, segments, memory, settings)
+    labels[~valid] = Label.MISSING
+    return labels, segments
+
+
 # II-D. Connected components in 2-D
+
+
+def _smooth_image(
+    supported: Mask,
+    background: Mask,
+    memory: Memory,
+    settings: Settings,
+) -> I64:
+    """Return H (step 3)."""
+    components, n_components = label_components(supported & ~background)  # a to c
+    components = fill_holes(components, background)  # d, II-D.1
+    ids = _carry_labels(components, n_components, memory, settings)  # e, II-D.2
+    return np.array(ids, dtype=np.int64)[components]
+
+
+def _carry_labels(
+    components: I32,
+    n_components: int,
+    memory: Memory,
+    settings: Settings,
+) -> list[int]:
+    """Return the label of every component.
+
+    That of the block before with most votes, of equals the smallest, or new.
+
+    Every shot of the first line votes for the label of the last line of the block before, in its
+    column."""
+    votes = Counter(
+        (component, old)
+        for component, old in zip(components[0].tolist(), memory.last_line, strict=True)
+        if component != 0 and old != 0
+    )
+    ids = [0]
+    for component in range(1, n_components + 1):
+        won = [
+            (-n, old)
+            for (voter, old), n in votes.items()
+            if voter == component and n >= settings.min_votes
+        ]
+        ids.append(min(won, default=(0, 0))[1])
+    if settings.forks == "largest":
+        for old in set(ids) - {0}:
+            pieces = [component for component, label in enumerate(ids) if label == old]
+            pieces.sort(key=lambda component: -np.count_nonzero(components == component))
+            for smaller in pieces[1:]:
+                ids[smaller] = 0
+    for component in range(1, n_components + 1):
+        if ids[component] == 0:
+            ids[component] = memory.next_id
+            memory.next_id += 1
+    return ids
 
 
 # II-E. Smooth and nonsmooth surfaces
 
 
+def _nonsmooth_image(h: I64, background: Mask, settings: Settings) -> tuple[I32, int]:
+    """Return V and the number of its segments (step 4).
+
+    Small segments of H (11), dilated and connected anew.
+
+    A / (k M) is constant, so the last block of a stream, of fewer lines, has a smaller A. Shots of
+    G that no component took are small as well."""
+    area = settings.area * len(h) / settings.k
+    label, pixels = np.unique(h[h > 0], return_counts=True)
+    small = np.isin(h, label[pixels < area]) | (background & (h == 0))
+    return label_components(dilate(small, settings.gamma))
+
+
 # II-F. Classification
+
+
+def _urban(
+    valid: Mask,
+    supported: Mask,
+    smooth: Mask,
+    segments: I64,
+    memory: Memory,
+    settings: Settings,
+) -> U8:
+    """Label noise, ground, buildings and vegetation.
+
+    Ground is the largest smooth segment, connected over blocks.
+    """
+    here = Counter(segments[smooth].tolist())
+    memory.totals.update(here)
+    size = memory.totals if settings.ground == "running-total" else here
+    largest = min(here, key=lambda label: (-size[label], label), default=0)
+    labels = np.full(valid.shape, Label.NOISE, dtype=np.uint8)
+    labels[supported] = Label.VEGETATION
+    labels[smooth] = Label.BUILDING
+    labels[smooth & (segments == largest)] = Label.GROUND
+    return labels
+
+
+def _forest(
+    valid: Mask,
+    supported: Mask,
+    smooth: Mask,
+    segments: I64,
+    memory: Memory,
+    settings: Settings,
+) -> U8:
+    """Label noise, stems, other vegetation, and ground.
+
+    Columns with a large share of smooth shots (12).
+    """
+    labels = np.full(valid.shape, Label.NOISE, dtype=np.uint8)
+    labels[supported] = Label.VEGETATION
+    labels[smooth] = Label.STEM
+    for column in range(0, valid.shape[1], settings.column_step):
+        if np.mean(smooth[:, column]) > settings.density:
+            columns = slice(column, column + settings.column_step)
+            overwritten = valid if settings.noise_in_ground_columns else supported
+            labels[:, columns][overwritten[:, columns]] = Label.GROUND
+    return labels
