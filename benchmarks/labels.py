@@ -1,32 +1,43 @@
-"""F1 by scan and class of what ``prc classify IN OUT`` finds when nothing is told but the file.
+"""F1 by scan and class of what ``prc classify IN OUT`` finds when nothing is told but the file,
+and the share of each class that is called noise.
 
-    python -m benchmarks.labels                                  # the seeds below, and Oakland
+    python -m benchmarks.labels                                  # simulated seeds, and real scans
     python -m benchmarks.labels --seeds 8901-8906 --only push-broom
+    python -m benchmarks.labels --only RIEGL --others FOLDER     # and scans of another simulator
     # another checkout too: after, and the difference
     python -m benchmarks.labels --against OTHER/bin/python
 
 The first seeds chose nothing and were run once for the page of figures; limits were chosen on
 :data:`SPENT`. The scene of a street goes with its seed. A class counts in a scan with at least 200
-shots of it."""
+shots of it.
+
+A scan of FOLDER holds reference codes of prc, or has them beside it in NAME.reference.npy. It is a
+forest if NAME begins so. Real scans: Oakland has classes of its own; RIEGL's were marked by hand
+(riegl_paris.csv, first file apart: it may be tuned on); Argoverse marks ground and vehicles."""
 
 from __future__ import annotations
 
+import csv
+import hashlib
 import json
 import shlex
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+from skimage.measure import points_in_poly
 
 from benchmarks import contest_data as data
-from benchmarks import contest_files, contest_judge
+from benchmarks import contest_files, contest_judge, rings
 from benchmarks.contest_data import Scan, Simulated
-from benchmarks.pages import parser_of
+from benchmarks.pages import DATA, parser_of
+from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.types import I32
 
 SEEDS = "8801-8806"
 SPENT = "9301-9342, 9401-9442"
@@ -56,73 +67,159 @@ STREETS: dict[str, Simulated] = {
 
 Without noise, only mixed ranges at edges remain.
 """
-Making = Callable[[], Scan]
+MARKED = Path(__file__).with_name("riegl_paris.csv")
 
 
-def scans(seeds: list[int], only: str) -> Iterator[tuple[str, str, Making]]:
-    """Yield the group, the name and the making of every scan whose group begins with ``only``."""
-    groups: dict[str, list[tuple[str, Making]]] = {}
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A file to classify, and its reference."""
+
+    file: Path
+    reference: Path
+    """Codes of every record."""
+    mapping: str = "street"
+    options: tuple[str, ...] = ()
+    """Of ``prc classify``."""
+
+
+Making = Callable[[Path], Case]
+"""Makes a case in a folder."""
+
+
+def scans(seeds: list[int], others: Path | None) -> Iterator[tuple[str, str, Making]]:
+    """Yield the group, the name and the making of every scan."""
     for seed in seeds:
         scene = SCENES[seed % len(SCENES)]
         wood = WOODS[seed % len(WOODS)]
         for group, spec in STREETS.items():
             settings = replace(spec, seed=seed, scene=scene, noise=spec.noise or 0.0)
-            groups.setdefault(group, []).append(
-                (f"{scene} {seed}", partial(data.simulated, settings))
-            )
+            yield group, f"{scene} {seed}", partial(written, partial(data.simulated, settings))
         forest = Simulated("", seed, 15, wood, "focus3d-120", kind="forest")
-        groups.setdefault("forest", []).append((f"{wood} {seed}", partial(data.simulated, forest)))
-    groups["Oakland"] = [(f"strip {strip}", partial(data.oakland, strip)) for strip in (1, 2, 3)]
-    yield from (
-        (group, *scan)
-        for group, every in groups.items()
-        if group.startswith(only)
-        for scan in every
-    )
+        yield "forest", f"{wood} {seed}", partial(written, partial(data.simulated, forest))
+    for strip in (1, 2, 3):
+        yield "Oakland", f"strip {strip}", partial(written, partial(data.oakland, strip))
+    yield "RIEGL", "file 1", partial(riegl, judged=slice(0, 1))
+    yield "RIEGL", "files 2-5", partial(riegl, judged=slice(1, 5))
+    for k, name in enumerate(("upper", "lower")):
+        yield "Argoverse", name, partial(argoverse, k)
+    for file in sorted(others.iterdir()) if others else ():
+        if file.suffix not in {".npy", ".json"}:
+            yield "others", file.stem, partial(other, file)
 
 
-def written(scan: Scan, folder: Path) -> tuple[contest_files.ScanFile, Path]:
-    """Write a scan as ``prc classify`` takes it, and its reference class of every record.
-
-    Return both.
-    """
+def written(make: Callable[[], Scan], folder: Path) -> Case:
+    """Write a scan as ``prc classify`` takes it, and its reference class of every record."""
+    scan = make()
     file = contest_files.write(scan, folder)
-    reference = folder / "reference.npy"
-    if file.record is None:
-        np.save(reference, scan.codes.ravel().astype(np.int32))
-    else:
-        codes = np.zeros(
-            int(max(file.record.max(), file.extra_record.max(initial=-1))) + 1, np.int32
-        )
+    codes = scan.codes.ravel()
+    if file.record is not None:
+        codes = np.zeros(int(max(file.record.max(), file.extra_record.max(initial=-1))) + 1)
         codes[file.record[file.record >= 0]] = scan.codes[file.record >= 0]
         codes[file.extra_record] = scan.extra_codes
-        np.save(reference, codes)
-    return file, reference
+    mapping = MAPPINGS.get(scan.mapping, scan.mapping)
+    return Case(file.path, saved(codes, folder), mapping, file.options)
 
 
-def f1_of(python: str, scan: Scan, folder: Path) -> dict[str, float]:
+def saved(codes: np.ndarray, folder: Path) -> Path:
+    """Write reference codes."""
+    reference = folder / "reference.npy"
+    np.save(reference, codes.astype(np.int32))
+    return reference
+
+
+def riegl(folder: Path, judged: slice) -> Case:
+    """Join the five files of the drive; the reference has the classes of some of them."""
+    parts = [file.read_bytes() for file in sorted((DATA / "riegl").glob("*.ply"))]
+    if hashlib.sha256(b"".join(parts)).hexdigest() not in MARKED.read_text():
+        raise SystemExit(f"{DATA / 'riegl'}: not the files that were marked; see {MARKED}")
+    head, end, _ = parts[0].partition(b"end_header\n")
+    rows = [part.partition(end)[2] for part in parts]
+    kinds = {"float64": ">f8", "float32": ">f4", "uint8": "u1"}
+    properties = [line.split()[1:] for line in head.decode().splitlines() if "property" in line]
+    table = np.frombuffer(b"".join(rows), [(name, kinds[kind]) for kind, name in properties])
+    n_rows = len(table) // len(rows)
+    count = b"element vertex %d"
+    file = folder / "drive.ply"
+    file.write_bytes(head.replace(count % n_rows, count % len(table)) + end + table.tobytes())
+    codes = np.zeros(len(table), np.int32)
+    part = slice(judged.start * n_rows, judged.stop * n_rows)
+    codes[part] = marked(table)[part]
+    return Case(file, saved(codes, folder))
+
+
+def marked(table: np.ndarray) -> I32:
+    """Return the codes of the classes marked by hand, (n,) int32; 0 = unsure."""
+    turn = np.cumsum(np.diff(table["theta"], prepend=table["theta"][0]) < -1.0)
+    section_m = np.stack([table[f"{axis}"] - table[f"{axis}_origin"] for axis in "yz"], axis=-1)
+    codes = np.zeros(len(table), np.int32)
+    is_open = np.ones(len(table), bool)
+    rows = [row for row in MARKED.read_text().splitlines() if not row.startswith("#")]
+    for row in csv.DictReader(rows):
+        corners = np.array(row["corners"].split(), float).reshape(-1, 2)
+        inside = is_open & points_in_poly(section_m, corners)
+        inside &= (turn >= int(row["first"])) & (turn <= int(row["last"]))
+        codes[inside] = CODES[row["class"]]
+        is_open &= ~inside
+    return codes
+
+
+CODES = {label.name.lower(): ClassCodes().code(label) for label in Label} | {
+    "unsure": 0,
+    "other": rings.OTHER,
+}
+
+
+def argoverse(k: int, folder: Path) -> Case:
+    """Write one of the two scanners of a sweep, with its ground and vehicles."""
+    frame = list(rings.argoverse(folder))[k]
+    return Case(frame.path, saved(frame.codes, folder))
+
+
+def other(file: Path, _: Path) -> Case:
+    """Return a scan of another simulator, with its reference."""
+    beside = file.with_name(f"{file.stem}.reference.npy")
+    forest = file.stem.startswith("forest")
+    mapping = MAPPINGS["forest"] if forest else "street"
+    return Case(file, beside if beside.exists() else file, mapping)
+
+
+def scores_of(python: str, case: Case, folder: Path) -> dict[str, float]:
     """Classify a scan and evaluate it as a user does, by the package of a Python.
 
-    Return the F1 of every class.
+    Return the F1 of every class, and the share of the class that is called noise.
     """
-    file, reference = written(scan, folder)
     labels = folder / "labels.npy"
     labels.unlink(missing_ok=True)
     run = [*shlex.split(python), "-m", "prc_cli"]
-    classify = [*run, "classify", str(file.path), str(labels), *file.options, "--overwrite", "-q"]
+    classify = [*run, "classify", str(case.file), str(labels), *case.options, "--overwrite", "-q"]
     done = subprocess.run(classify, cwd=folder, capture_output=True, text=True, check=False)
     if not labels.exists():
         print(f"refused: {done.stderr.strip()}", file=sys.stderr)
         return {}  # what is refused has no labels
-    mapping = MAPPINGS.get(scan.mapping, scan.mapping)
-    evaluate = [*run, "evaluate", str(labels), str(reference), "--mapping", mapping, "--json"]
+    files = [str(labels), str(case.reference)]
+    evaluate = [*run, "evaluate", *files, "--mapping", case.mapping, "--json"]
     process = subprocess.run(evaluate, cwd=folder, capture_output=True, text=True, check=True)
-    classes = json.loads(process.stdout)["classes"]
-    return {
-        NAMES.get(name, name): scores["f1"] or 0.0
-        for name, scores in classes.items()
-        if scores["n_reference"] >= LEAST_SHOTS and name != "other"
-    }
+    result = json.loads(process.stdout)
+    matrix = result["confusion"]
+    scores = {}
+    good = 0
+    lost = 0
+    for name, counts in zip(matrix["reference"], matrix["counts"], strict=True):
+        n = sum(counts)
+        is_noise = sum(
+            n for n, of in zip(counts, matrix["predicted"], strict=True) if of == "noise"
+        )
+        if name != "noise":
+            good += n
+            lost += is_noise
+        if n < LEAST_SHOTS:
+            continue
+        name = NAMES.get(name, name)
+        if name in CLASSES:
+            scores[name] = result["classes"][name]["f1"] or 0.0
+        if name in KEPT:
+            scores[f"{name} as noise"] = is_noise / n
+    return scores | {"good as noise": lost / max(good, 1)}
 
 
 def numbers(text: str) -> list[int]:
@@ -132,12 +229,14 @@ def numbers(text: str) -> list[int]:
 
 
 CLASSES = ("noise", "ground", "curb", "building", "vegetation", "car", "pole", "stem")
+KEPT = ("ground", "building", "vegetation", "car", "pole")
+COLUMNS = (*CLASSES, "good as noise", *(f"{name} as noise" for name in KEPT))
 
 
 def row(name: str, after: dict[str, float], before: dict[str, float] | None) -> str:
     """Return a row of the table, with the difference to another checkout, if there is one."""
     cells = []
-    for key in CLASSES:
+    for key in COLUMNS:
         change = "" if before is None else f" ({after.get(key, 0.0) - before.get(key, 0.0):+.3f})"
         cells.append(f"{after[key]:.3f}{change}" if key in after else "")
     return f"| {name} | {' | '.join(cells)} |"
@@ -145,7 +244,7 @@ def row(name: str, after: dict[str, float], before: dict[str, float] | None) -> 
 
 def mean(all_scores: list[dict[str, float]]) -> dict[str, float]:
     """Return the mean F1 of every class over the scans that have it."""
-    by_class = {key: [scores[key] for scores in all_scores if key in scores] for key in CLASSES}
+    by_class = {key: [scores[key] for scores in all_scores if key in scores] for key in COLUMNS}
     return {key: float(np.mean(every)) for key, every in by_class.items() if every}
 
 
@@ -154,17 +253,20 @@ def main() -> None:
     parser = parser_of(__doc__)
     parser.add_argument("--seeds", default=SEEDS, help="of simulated scans, e.g. 8801-8806,8901")
     parser.add_argument("--only", default="", metavar="GROUP", help="the groups that begin so")
+    parser.add_argument("--others", type=Path, metavar="FOLDER", help="scans with references")
     parser.add_argument(
         "--against", metavar="PYTHON", help="command of a Python with another checkout"
     )
     chosen = parser.parse_args()
     pythons = [sys.executable, *([chosen.against] if chosen.against else [])]
-    print(f"| scan | {' | '.join(CLASSES)} |\n|---|{'---:|' * len(CLASSES)}")
+    print(f"| scan | {' | '.join(COLUMNS)} |\n|---|{'---:|' * len(COLUMNS)}")
     groups: dict[str, list[list[dict[str, float]]]] = {}
-    for group, name, make in scans(numbers(chosen.seeds), chosen.only):
+    for group, name, make in scans(numbers(chosen.seeds), chosen.others):
+        if not group.startswith((chosen.only, *(["others"] if chosen.others else []))):
+            continue
         with tempfile.TemporaryDirectory() as folder:
-            scan = make()
-            f1 = [f1_of(python, scan, Path(folder)) for python in pythons]
+            case = make(Path(folder))
+            f1 = [scores_of(python, case, Path(folder)) for python in pythons]
         groups.setdefault(group, []).append(f1)
         print(row(f"{group}: {name}", f1[0], f1[1] if len(f1) > 1 else None), flush=True)
     for group, every in groups.items():

@@ -140,7 +140,7 @@ def frames(folder: Path) -> Iterator[Frame]:
     )
     for name in ("000010", "000030"):
         yield _snow(name, folder)
-    yield from _argoverse(folder)
+    yield from argoverse(folder)
 
 
 def _coded(codes: I64, kind: str) -> U8:
@@ -204,7 +204,7 @@ def _snow(name: str, folder: Path) -> Frame:
     )
 
 
-def _argoverse(folder: Path) -> Iterator[Frame]:
+def argoverse(folder: Path) -> Iterator[Frame]:
     """Write the two scanners of a sweep as PLY, each in its own frame.
 
     The lower one hangs upside down.
