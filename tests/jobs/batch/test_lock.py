@@ -22,8 +22,9 @@ from prc_cli.core.errors import BusyError, OutputError
 from prc_cli.jobs.batch import lock as subject
 from prc_cli.jobs.batch.lock import Lock, Owner, has_locks, holders
 from prc_cli.jobs.batch.types import Shard
-from tests.patience import start, wait_until
+from tests.patience import run, start, wait_until
 
+RIVALS = Path(__file__).with_name("rivals.py")
 HOLD = """
 import sys, time
 from pathlib import Path
@@ -245,6 +246,44 @@ def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
             inside[0].check()
     until = None
     assert n_steps > 5
+
+
+def fight(
+    folder: Path,
+    seed: int,
+    n_lives: int,
+    n_inherited: int,
+    kinds: str,
+) -> None:
+    """Let rivals compete until so many lived, and so many took the lock of a dead one.
+
+    No two may be inside at once.
+    """
+    command = [
+        sys.executable,
+        str(RIVALS),
+        str(folder),
+        str(seed),
+        str(n_lives),
+        str(n_inherited),
+        kinds,
+    ]
+    result = run(command, capture_output=True, text=True, timeout=3600)
+    assert result.returncode == 0, result.stderr
+    counts: dict[str, int] = json.loads(result.stdout)
+    assert counts.get("VIOLATION", 0) == 0
+    assert counts.get("LOST", 0) == 0
+    assert counts["failed"] == 0, result.stderr
+    assert counts["inherited"] >= n_inherited, counts
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc and fork")
+@pytest.mark.parametrize(("seed", "kinds"), [(1, "whole"), (2, "whole,1/2,2/2,1/3")])
+def test_rivals_that_die_at_any_step_are_never_two_inside(
+    tmp_path: Path, seed: int, kinds: str
+) -> None:
+    fight(tmp_path, seed, 40, 8, kinds)
 
 
 def test_a_shard_is_a_part_of_the_whole_and_the_same_for_ever() -> None:
