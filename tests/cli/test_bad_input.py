@@ -14,7 +14,7 @@ import laspy
 import numpy as np
 import pytest
 
-from prc_cli.cli import main
+from prc_cli.cli import cli, main
 from prc_cli.formats.writing.base import StagedWriter
 from tests import patience
 from tests.cli.conftest import Prc
@@ -283,3 +283,16 @@ def test_one_line_says_why(
     assert (result.code, result.out, said in result.err) == (code, "", True), result.err
     assert result.err.count("\n") == 1
     assert sorted(folder.iterdir()) == before
+
+
+@pytest.mark.parametrize("error", [MemoryError(), ImportError("no libx")])
+def test_what_the_machine_lacks_ends_in_one_line(
+    prc: Prc, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fail(**_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(cli, "main", fail)
+    result = prc("info", "a.laz")
+    assert (result.code, result.err.count("\n")) == (1, 1)
+    assert result.err.startswith("error: ")

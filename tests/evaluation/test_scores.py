@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from prc_cli.core.errors import ConfigError, GateError
+from prc_cli.core.errors import ConfigError, GateError, InputError
 from prc_cli.evaluation.confusion import ConfusionMatrix, GroupedCounts, accumulate, cells_of
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.scores import (
@@ -248,3 +248,8 @@ def test_kappa_may_lie_below_that_of_chance() -> None:
     intervals = block_intervals(blocks, ("a", "b"), ("a", "b"))
     assert -1.0 <= intervals["kappa"].low < intervals["kappa"].high < 0.0
     assert intervals["accuracy"].low >= 0.0
+
+
+def test_one_block_has_no_interval() -> None:
+    with pytest.raises(InputError, match="at least 2 blocks with scored pairs, found 1"):
+        block_intervals(TABLE_II[None], FOREST, FOREST)

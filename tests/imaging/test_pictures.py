@@ -21,7 +21,7 @@ import pytest
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, U8
 from prc_cli.imaging.cloud import NARROWEST, DepthBuffer, FromAbove, Perspective, Sample
-from prc_cli.imaging.pictures import segment_picture
+from prc_cli.imaging.pictures import segment_picture, value_bar
 from prc_cli.imaging.sheet import Axis, Panel, draw_panel, draw_sheet, zoom_for
 from prc_cli.imaging.viewer import ClassEntry, Shots, Values, viewer_page
 from tests.browser import chromium
@@ -318,3 +318,8 @@ def unpack(text: str, n_bytes: int) -> Any:
     )
     steps = sum(planes[k] << (8 * k) for k in range(n_bytes))
     return np.cumsum(steps) % 256**n_bytes
+
+
+def test_a_bar_has_three_to_seven_even_values() -> None:
+    for limits, labels in (((0.0, 60.0), "0 10 20 30 40 50 60"), ((0.0, 0.7), "0 0.2 0.4 0.6")):
+        assert [label for _, label in value_bar(limits, "m").ticks] == labels.split()

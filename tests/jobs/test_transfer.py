@@ -390,3 +390,18 @@ def test_times_overlap_where_they_touch_within_the_tolerance(
 
 
 # --- a real street
+
+
+def test_a_tolerance_of_the_next_label_is_told(drive: Drive, tmp_path: Path) -> None:
+    step_s = (drive.time[-1] - drive.time[0]) / (len(drive) - 1)
+    for tolerance_s, is_told in ((0.4 * step_s, False), (0.8 * step_s, True)):
+        summary = run(tmp_path, drive, drive.registered(), tolerance_s=tolerance_s)
+        assert any("half the mean step" in notice for notice in summary.record.notices) is is_told
+        (tmp_path / "out.las").unlink()
+        (tmp_path / "out.las.prc.json").unlink(missing_ok=True)
+
+
+def test_one_time_for_all_labels_is_no_key(drive: Drive, tmp_path: Path) -> None:
+    drive.time[:] = START_S
+    with pytest.raises(InputError, match="expected one a shot"):
+        run(tmp_path, drive, drive.registered())

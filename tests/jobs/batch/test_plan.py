@@ -251,6 +251,7 @@ def archive(tmp_path: Path) -> Path:
         (["*.LAZ", "*.las"], [], ["a/10.LAZ", "a/2.las"]),
         (["a/*"], [], ["a/10.LAZ", "a/2.las"]),
         (["a/**"], [], ["a/10.LAZ", "a/2.las", "a/deep/er/x.csv.gz"]),
+        (["b.laz/**"], [], []),
         (["**/x*"], [], ["a/deep/er/x.csv.gz"]),
         (["**/b.laz"], [], ["b.laz"]),
         (["?.[ln]*"], [], ["a/2.las", "b.laz", "z.npz"]),

@@ -27,7 +27,7 @@ from prc_cli.jobs.classify import classify
 from prc_cli.jobs.convert import convert
 from prc_cli.jobs.evaluate import evaluate_all
 from prc_cli.jobs.evaluate.counts import _worst
-from prc_cli.jobs.evaluate.options import EvaluateOptions
+from prc_cli.jobs.evaluate.options import EvaluateOptions, check_options
 from prc_cli.jobs.evaluate.pictures import class_pictures
 from tests.street import angles, street
 
@@ -592,3 +592,9 @@ def test_the_sky_is_at_the_top_whichever_way_the_columns_run(
     image = np.asarray(Image.open(io.BytesIO(pictures[0][1])).convert("RGB"))
     assert tuple(image[0, 0].tolist()) == colour("noise")
     assert tuple(image[-1, 0].tolist()) == colour("ground")
+
+
+@pytest.mark.parametrize("edges", [(50, 50), (60, 40), (101,)])
+def test_edges_of_confidence_rise_from_0_to_100(edges: tuple[int, ...]) -> None:
+    with pytest.raises(ConfigError, match="expected rising per cents"):
+        check_options(EvaluateOptions(split_confidence=edges))

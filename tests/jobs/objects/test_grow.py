@@ -132,3 +132,10 @@ def test_runs_end_at_jumps_other_classes_and_gaps() -> None:
     assert [run.columns for run in runs] == [(0, 9), (13, 49), (50, 69), (70, 120)]
     assert [run.n for run in runs] == [10, 35, 20, 51]
     assert not list(runs_of(item(labels, range_m), (Label.CAR,)))
+
+
+@pytest.mark.parametrize(("n_lines", "n_stems"), [(2, 1), (3, 2)])
+def test_a_gap_is_bridged_up_to_the_limit_of_its_rule(n_lines: int, n_stems: int) -> None:
+    labels, range_m = scene()
+    lines = [15, 16, *[0] * n_lines, 15, 16]
+    assert len(grown(labels[lines], range_m[lines])) == n_stems

@@ -20,7 +20,8 @@ from prc_cli.core.types import F32, F64, U8, Mask
 from prc_cli.jobs.choice import choice_by_beams
 from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.base import Wanted
-from prc_cli.methods.rings.pipeline import RingsParams, is_fan, upside_down
+from prc_cli.methods.rings.pipeline import RingsParams, is_fan, limits_of, upside_down
+from prc_cli.methods.rings.thresholds import FEW, MANY, MANY_RINGS
 from tests.cli.conftest import Prc
 
 N_LINES = 1800
@@ -354,3 +355,8 @@ def test_rows_of_a_static_scan_are_no_rings() -> None:
     assert choice_by_beams(block, iter([block])).method == "rings"
     assert choice_by_beams(block, iter([block]), may_spin=False).method == "fused"
     assert not is_fan(np.deg2rad(np.linspace(65, 110, 497)))
+
+
+def test_the_number_of_rings_chooses_the_limits() -> None:
+    assert limits_of(np.zeros(MANY_RINGS)) is MANY
+    assert limits_of(np.zeros(MANY_RINGS - 1)) is FEW
