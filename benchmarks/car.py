@@ -246,9 +246,9 @@ def page(folder: Path, length: float, seed: int, *, times: bool) -> str:
         "--inside",
         "-500,-500,500,500",
     )
-    third = ("--third", folder / "car", "--third-mapping")
+    third = ("--third", folder / "car", "--mapping")
     three, *used["fused, CAR and the truth as delivered"] = prc(
-        "evaluate", fused, truth, *near, "--mapping", "lehtola_urban", *noise, *third, "asprs"
+        "evaluate", fused, truth, *near, "--mapping", "lehtola_urban", *noise, *third, "third=asprs"
     )
     towns, *used["PRC and fused against the truth as delivered"] = prc(
         "evaluate", *urban, truth, *near, "--mapping", "lehtola_urban", *noise
@@ -338,8 +338,8 @@ def oakland_section(folder: Path) -> str:
             "street_oakland",
             "--third",
             car,
-            "--third-mapping",
-            "asprs",
+            "--mapping",
+            "third=asprs",
             "--json",
         )
         three = summary["three"]

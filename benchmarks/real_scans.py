@@ -58,10 +58,7 @@ def oakland(folder: Path) -> None:
             classify(source, labels, config, overwrite=True)
             print(f"### Strip {strip}\n")
             print(f"```console\n$ prc classify {source.name} {name}.npy {option}")
-            print(
-                f"$ prc evaluate {name}.npy {source.name} --mapping oakland --format "
-                "markdown\n```\n"
-            )
+            print(f"$ prc evaluate {name}.npy {source.name} --mapping oakland -o {name}.md\n```\n")
             print(as_markdown(evaluate(labels, source, "oakland")))
 
 

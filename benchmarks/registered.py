@@ -48,7 +48,7 @@ DRIVES = {
     "hdl-64e": "street --scanner hdl-64e --duration 1.5 --seed 5107",
     "forest": "forest --scanner focus3d-120 --duration 4 --seed 5108",
     "open field": f"street --scanner photon-80 --duration 8 --seed 5109 --set sight_m=25 {FIELD}",
-    "standing": "street --scanner photon-80 --duration 18 --seed 5110 --speed 4 "
+    "standing": "street --scanner photon-80 --duration 18 --seed 5110 --set trajectory.speed_m_s=4 "
     "--set trajectory.stop_every_m=45",
 }
 TILED = ("photon", "profiler", "vlp-16")

@@ -140,7 +140,7 @@ curbs as vertical.
 ```console
 $ prc simulate street-scan scan.npz --seed {FIRST_SEED} --set scanner.azimuth_step_deg=0.46
 $ prc classify scan.npz labels.npy --preset street-scan
-$ prc evaluate labels.npy scan.npz --mapping street_scan --format markdown
+$ prc evaluate labels.npy scan.npz --mapping street_scan -o scores.md
 ```
 """
     )

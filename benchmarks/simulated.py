@@ -543,8 +543,8 @@ def oakland(folder: Path) -> None:
     `sample_configs/sick_push_broom.toml`.""")
     commands(
         f"prc simulate street strip.npz --scanner sick-push-broom --lines {OAKLAND_LINES} \\\n"
-        f"      --speed {OAKLAND_SPEED_M_S:.3g} --set trajectory.stop_every_m=0 --seed "
-        f"{FIRST_SEED}",
+        f"      --set trajectory.speed_m_s={OAKLAND_SPEED_M_S:.3g} "
+        f"--set trajectory.stop_every_m=0 --seed {FIRST_SEED}",
         "prc classify strip.npz labels.npy --config sample_configs/sick_push_broom.toml",
     )
     rows = []

@@ -34,7 +34,7 @@ import click
 
 from prc_cli.cli import cli
 from prc_cli.cli.options import ALL_OPTIONS
-from prc_cli.config import RunConfig, preset_summaries
+from prc_cli.config import BatchTable, RunConfig, preset_summaries
 from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
 from prc_cli.core.config import Params, model_in
 from prc_cli.formats.writing.columns import HIGH_NOISE_CODE
@@ -89,7 +89,7 @@ def configuration_page() -> str:
         presets` lists the presets, `prc config check FILE` checks a file, `prc config schema`
         prints the JSON schema.
         """
-    parts = [GENERATED, textwrap.dedent(intro), *_tables(RunConfig, "")]
+    parts = [GENERATED, textwrap.dedent(intro), *_tables(RunConfig, ""), *_tables(BatchTable, "")]
     parts.append("## Presets\n")
     parts.append(
         "Each is a file of `sample_configs/`; what it does not set is a default. `prc "

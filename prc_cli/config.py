@@ -121,6 +121,71 @@ class RunConfig(MethodTables, _Input):
         return table
 
 
+class BatchParams(Params):
+    """How prc batch works; other commands ignore this table."""
+
+    retry: int = Field(
+        0, ge=0, description="try a file so many times more if the problem may be temporary"
+    )
+    fail_fast: bool = Field(False, description="stop after the first failure")
+    stall: float = Field(
+        600.0, gt=0, description="give up a file that makes no progress for this time [s]"
+    )
+    memory_limit: int | None = Field(None, ge=1, description="memory of each worker [MiB]")
+    threads: int | None = Field(
+        None,
+        ge=1,
+        description="threads per file; default: cores / jobs; labels do not depend on it",
+    )
+    mapping: str | None = Field(
+        None, description="with --reference: classes of the codes, as prc evaluate --mapping"
+    )
+    match: str = Field(
+        "order",
+        description="with --reference: how records are matched: order, time, dimension:NAME or "
+        "nearest",
+    )
+    drift: bool = Field(
+        True, description="exit code 4 if the class shares of a file differ from earlier files"
+    )
+    time_stamps: bool = Field(False, description="start log lines with the time (UTC)")
+
+
+class BatchTable(Params):
+    """The table ``[batch]`` of a configuration file."""
+
+    batch: BatchParams = Field(default_factory=BatchParams)
+
+
+def batch_params(
+    table: dict[str, Any], options: Mapping[str, Any], where: str
+) -> tuple[BatchParams, dict[str, Any]]:
+    """Take ``[batch]`` out of a file's table and out of the options, which win.
+
+    Returns
+    -------
+    BatchParams
+        The values.
+    dict
+        The options without the table; ``table`` loses it, too.
+
+    Raises
+    ------
+    ConfigError
+        Unknown key, or a value of the wrong kind or out of bounds.
+
+    Examples
+    --------
+    >>> batch_params({"batch": {"retry": 1}}, {"batch": {"stall": 9}, "method": "prc"}, "a.toml")
+    (BatchParams(retry=1, stall=9.0), {'method': 'prc'})
+    """
+    of_file = {key: table.pop(key) for key in ("batch",) if key in table}
+    of_options = {key: value for key, value in options.items() if key == "batch"}
+    build(BatchTable, of_file, where)
+    params = build(BatchTable, merge(of_file, of_options), OPTION).batch
+    return params, {key: value for key, value in options.items() if key != "batch"}
+
+
 CHOSEN_FROM: tuple[MethodName, ...] = ("prc", "fused", "rings")
 """Methods that prc may choose for an input."""
 
@@ -283,6 +348,7 @@ def load_config(
         problem = "[[override]] tables choose among the files of an archive, here there is one"
         raise ConfigError(str(path), problem, "they are for prc batch; make a file without them")
     named = table.pop("preset", None)
+    _, options = batch_params(table, options or {}, str(path))
     chosen = preset if preset is not None else named
     layers: list[tuple[str, Mapping[str, Any]]] = []
     if chosen is not None:
@@ -679,4 +745,6 @@ def json_schema() -> dict[str, Any]:
     schema["title"] = "prc configuration"
     preset = {"type": "string", "enum": list(PRESETS), "description": "parameters to start from"}
     schema["properties"] = {"preset": preset, **schema["properties"]}
+    batch = BatchParams.model_json_schema(by_alias=True)
+    schema["properties"]["batch"] = batch
     return schema

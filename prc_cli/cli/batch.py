@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,15 +17,17 @@ import click
 from click.shell_completion import CompletionItem
 
 from prc_cli.cli.options import (
+    Layers,
     Sectioned,
     add_options,
-    complete_mapping,
     layers_from,
     output_options,
     stream_options,
 )
 from prc_cli.cli.output import print_json
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, WRITTEN_TEXT
+from prc_cli.config import BatchParams, batch_params
+from prc_cli.core.config import read_toml
 from prc_cli.core.errors import ConfigError, ExitCode, PrcError
 from prc_cli.core.interrupts import raise_or_wait
 from prc_cli.core.near import nearest
@@ -43,6 +45,8 @@ if TYPE_CHECKING:
 
 _TYPED = "prc_cli.batch.typed"
 _COMMAND_SCHEMA = 2
+_RUN = "run"
+"""Word before ARCHIVE that may be left out."""
 _MAX_COMMAND = 1 << 20
 """Largest file that is read as the last command [bytes]."""
 
@@ -58,18 +62,26 @@ class BatchCommand(Sectioned, click.Group):
         **extra: Any,
     ) -> click.Context:
         """Go on with a subcommand that the first word names; ``./status`` is a folder."""
+        if args and args[0] == _RUN:
+            name = f"{info_name} {_RUN}"
+            return self._of_run(name, args[1:], parent, **extra)
         if args and args[0] in self.commands:
             subcommand = self.commands[args[0]]
             name = f"{info_name} {args[0]}"
             return subcommand.make_context(name, args[1:], parent=parent, **extra)
         first = args[0] if args else ""
-        near = nearest(first, self.commands, cutoff=0.75)
+        near = nearest(first, [_RUN, *self.commands], cutoff=0.75)
         is_folder = "/" in first or Path(first).exists()
         if near and not first.startswith("-") and not is_folder:
             message = f"there is no folder {first}; did you mean prc batch {near}?"
             raise click.UsageError(message, parent)
+        return self._of_run(info_name, args, parent, **extra)
+
+    def _of_run(
+        self, name: str | None, args: list[str], parent: click.Context | None, **extra: Any
+    ) -> click.Context:
         typed = list(args)  # reading them takes them away
-        context = super().make_context(info_name, args, parent=parent, **extra)
+        context = super().make_context(name, args, parent=parent, **extra)
         context.meta[_TYPED] = typed
         out = str(context.params.get("out"))
         if out in self.commands and out in typed and f"./{out}" not in typed:
@@ -94,7 +106,7 @@ class BatchCommand(Sectioned, click.Group):
 def _complete_archive(
     context: click.Context, parameter: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
-    names = [name for name in batch.commands if name.startswith(incomplete)]
+    names = [name for name in (_RUN, *batch.commands) if name.startswith(incomplete)]
     return [*map(CompletionItem, names), CompletionItem(incomplete, type="dir")]
 
 
@@ -146,44 +158,9 @@ _WORK = [
         help="Files at the same time. Default: one per core.",
     ),
     _option(
-        "--threads",
-        type=click.IntRange(min=1),
-        metavar="N",
-        help="Threads per file. Default: cores / jobs.",
-    ),
-    _option(
         "--scheduler",
         metavar="ADDRESS",
         help="Use the Dask cluster at this address, e.g. tcp://10.0.0.1:8786.",
-    ),
-    _option(
-        "--retry",
-        type=click.IntRange(min=0),
-        default=0,
-        show_default=True,
-        metavar="N",
-        help="Try a file up to N times more if the problem may be temporary.",
-    ),
-    _option(
-        "--fail-fast/--keep-going",
-        default=False,
-        help="Stop after the first failure, or continue.  [default: keep-going]",
-    ),
-    _option(
-        "--stall",
-        "stall_s",
-        type=click.FloatRange(min=0, min_open=True),
-        default=600.0,
-        show_default=True,
-        metavar="SECONDS",
-        help="Give up a file that makes no progress for this time.",
-    ),
-    _option(
-        "--memory-limit",
-        "memory_limit",
-        type=click.IntRange(min=1),
-        metavar="MB",
-        help="Memory limit of each worker [MiB].",
     ),
 ]
 _OUTPUTS = [
@@ -215,32 +192,12 @@ _CHECKS = [
         help="Compare with the files of the same name in this folder, with any suffix.",
     ),
     _option(
-        "--mapping",
-        type=READ_TEXT,
-        metavar="NAME|FILE.toml",
-        shell_complete=complete_mapping,
-        help="Classes of the codes, as for prc evaluate.  [default: the mapping of the method]",
-    ),
-    _option(
-        "--match",
-        default="order",
-        show_default=True,
-        metavar="HOW",
-        help="How records are matched: order, time, dimension:NAME or nearest.",
-    ),
-    _option(
         "--fail-under",
         "gates",
         multiple=True,
         metavar="SCORE.CLASS=VALUE",
         help="If a score of all files together is lower, exit with code 3, e.g. "
         "recall.ground=0.95.",
-    ),
-    _option(
-        "--drift/--no-drift",
-        default=True,
-        show_default=True,
-        help="If the class shares of a file differ from the earlier files, exit with code 4.",
     ),
 ]
 _REPORTING = [
@@ -250,7 +207,6 @@ _REPORTING = [
         metavar="FILE|-",
         help="Append every event to FILE as a line of JSON.",
     ),
-    _option("--time-stamps", is_flag=True, help="Start log lines with the time (UTC)."),
 ]
 
 
@@ -281,7 +237,8 @@ def batch(**options: Any) -> None:
 
     prc skips finished files. If an input, the configuration or the version of prc has changed, prc
     classifies the file again. An interrupted run continues where it stopped. The journal is in
-    OUT/.prc. The file of --config may contain [[override]] tables for some of the files.
+    OUT/.prc. The file of --config may contain [[override]] tables for some of the files, and a
+    table [batch]: retry, stall, memory_limit, ... prc batch run ARCHIVE OUT does the same.
 
     Exit codes: 0 done. 1 a file failed. 2 wrong usage. 3 a score is below --fail-under. 4 a file
     has a warning or unusual classes. 5 another run works in OUT.
@@ -349,12 +306,6 @@ def status(out: Path, as_json: bool, verify: bool) -> None:
     metavar="N",
     help="Files at the same time.  [default: as in the last run]",
 )
-@_option(
-    "--retry",
-    type=click.IntRange(min=0),
-    metavar="N",
-    help="Try a file up to N times more.  [default: as in the last run]",
-)
 @_option("--dry-run", is_flag=True, help="Only print the plan.")
 @output_options
 def retry(out: Path, shard: str | None, **changes: Any) -> None:
@@ -379,13 +330,7 @@ def retry(out: Path, shard: str | None, **changes: Any) -> None:
 
 @batch.command()
 @click.argument("out", type=WRITTEN)
-@_option(
-    "--forget",
-    "archive",
-    type=READ,
-    metavar="ARCHIVE",
-    help="Remove inputs from the journal that are no longer in this folder.",
-)
+@click.argument("archive", metavar="[ARCHIVE]", type=READ, required=False)
 @_option("--dry-run", is_flag=True, help="Only print what prc would remove.")
 @_option("--json", "as_json", is_flag=True, help="Print it as JSON on stdout.")
 def clean(
@@ -396,10 +341,12 @@ def clean(
 ) -> None:
     """Remove temporary files of interrupted runs from OUT. Outputs stay.
 
+    If you name the ARCHIVE, prc also forgets the inputs that are no longer in it.
+
     \b
     Examples:
       prc batch clean /classified --dry-run
-      prc batch clean /classified --forget /archive
+      prc batch clean /classified /archive
     """
     from prc_cli.cli.batch_report import print_cleaned
     from prc_cli.jobs.batch.outputs import clean as clean_folder
@@ -459,13 +406,14 @@ def _settings(options: dict[str, Any]) -> BatchSettings:
     if options["gates"] and options["reference"] is None:
         message = "--fail-under needs --reference TREE"
         raise click.UsageError(message)
+    layers = layers_from(options)
+    params = _params(layers)
     reference = None
     if options["reference"] is not None:
         reference = ReferenceSettings(
-            options["reference"], options["mapping"], options["match"], options["gates"]
+            options["reference"], params.mapping, params.match, options["gates"]
         )
         check_reference(reference)
-    layers = layers_from(options)
     same = (
         "archive",
         "out",
@@ -475,19 +423,19 @@ def _settings(options: dict[str, Any]) -> BatchSettings:
         "since",
         "limit",
         "jobs",
-        "threads",
         "to",
-        "retry",
-        "fail_fast",
         "overwrite",
         "verify",
-        "stall_s",
-        "drift",
     )
     return BatchSettings(
         config=ConfigLayers(layers.path, layers.preset, layers.table, layers.files),
         shard=None if options["shard"] is None else Shard.parse(options["shard"]),
-        memory_limit_mib=options["memory_limit"],
+        threads=params.threads,
+        retry=params.retry,
+        fail_fast=params.fail_fast,
+        stall_s=params.stall,
+        memory_limit_mib=params.memory_limit,
+        drift=params.drift,
         reference=reference,
         # only prc batch retry sets it
         only_failed=options.get("only_failed", False),
@@ -495,22 +443,34 @@ def _settings(options: dict[str, Any]) -> BatchSettings:
     )
 
 
-def _engine(options: dict[str, Any], notice: Callable[[str], None]) -> Engine | None:
+def _params(layers: Layers) -> BatchParams:
+    """Return the table ``[batch]``; a relative file in it starts at the folder of its file."""
+    table = {} if layers.path is None else read_toml(layers.path)
+    own = table.get("batch")
+    mapping = own.get("mapping") if isinstance(own, Mapping) else None
+    if isinstance(own, dict) and isinstance(mapping, str) and mapping.endswith(".toml"):
+        own["mapping"] = str(Path(layers.path or "").parent / mapping)
+    params, _ = batch_params(table, layers.table, str(layers.path))
+    return params
+
+
+def _engine(
+    settings: BatchSettings, scheduler: str | None, notice: Callable[[str], None]
+) -> Engine | None:
     """Return the engine; None = this machine."""
-    if options["scheduler"] is None:
+    if scheduler is None:
         return None
     from prc_cli.jobs.batch.dask_engine import DaskEngine
 
-    jobs = options["jobs"]
-    threads = options["threads"] or 1
-    return DaskEngine(options["scheduler"], notice=notice, jobs=jobs, threads=threads)
+    threads = settings.threads or 1
+    return DaskEngine(scheduler, notice=notice, jobs=settings.jobs, threads=threads)
 
 
 def _dry_run(settings: BatchSettings, options: dict[str, Any]) -> None:
     from prc_cli.cli.batch_report import plan_dict, print_note, print_plan
     from prc_cli.jobs.batch.run import plan_batch
 
-    _engine(options, print_note)  # checks the options
+    _engine(settings, options["scheduler"], print_note)  # checks the options
     plan, estimate = plan_batch(settings)
     if options["as_json"]:
         print_json(plan_dict(plan, estimate), indent=1, allow_nan=False)
@@ -526,7 +486,8 @@ def _run_and_print(
 
     quiet = options["quiet"]
     on_terminal = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
-    shows_bar = on_terminal and not quiet and not options["time_stamps"]
+    has_stamps = _params(layers_from(options)).time_stamps
+    shows_bar = on_terminal and not quiet and not has_stamps
     log = None if options["log_json"] is None else JsonLog(options["log_json"])
     if log is not None:
         log.start(
@@ -546,13 +507,13 @@ def _run_and_print(
             show = ProgressPrinter(
                 quiet=quiet,
                 verbose=options["verbose"],
-                stamps=options["time_stamps"],
+                stamps=has_stamps,
                 bar=shows_bar,
             )
             stack.callback(show.close)
             final = Final(keep_command, show, *([] if log is None else [log]))
             stack.callback(final.close)
-            engine = _engine(options, lambda text: final(Noted(text)))
+            engine = _engine(settings, options["scheduler"], lambda text: final(Noted(text)))
             summary = run_batch(settings, engine, final)
         code = summary.exit_code
     except PrcError as error:

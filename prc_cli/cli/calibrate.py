@@ -9,32 +9,31 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import (
-    QUIET_FORM,
+    JSON,
+    QUIET,
     Sectioned,
     add_options,
     config_from,
-    form_of,
-    form_options,
+    form_of_output,
     stream_options,
     window_options,
 )
 from prc_cli.cli.output import print_line, print_result, print_table, print_text
 from prc_cli.cli.paths import WRITTEN, ScanPath
 from prc_cli.cli.report import end_with, line_progress
-from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, prepare_outputs, whole_set
 from prc_cli.jobs.calibrate import Calibration
 from prc_cli.jobs.calibrate import calibrate as calibrate_file
 from prc_cli.jobs.calibrate.reports import (
     CURVE_HEADER,
     advice_rows,
-    as_json,
     as_markdown,
     as_svg,
     as_toml,
     curve_rows,
     sensor_rows,
 )
+from prc_cli.jobs.calibrate.reports import as_json as calibration_json
 
 _OPTIONS = [
     click.option(
@@ -44,13 +43,14 @@ _OPTIONS = [
         multiple=True,
         type=WRITTEN,
         metavar="FILE",
-        help="Write the configuration, with a reason for every value (.toml), or the shares of "
-        "supported shots and of background over the thresholds (.svg). Can be repeated.",
+        help="Write the configuration, with a reason for every value (.toml), the shares of "
+        "supported shots and of background over the thresholds (.svg), or all that was measured "
+        "(.md, .json). Can be repeated.",
     ),
     click.option("--overwrite", is_flag=True, help="Replace existing outputs."),
 ]
 
-_WRITERS = {".toml": as_toml, ".svg": as_svg}
+_WRITERS = {".toml": as_toml, ".svg": as_svg, ".md": as_markdown, ".json": calibration_json}
 """What is written, by the suffix of an output."""
 
 
@@ -59,11 +59,13 @@ _WRITERS = {".toml": as_toml, ".svg": as_svg}
 @add_options(*_OPTIONS)
 @stream_options
 @window_options
-@add_options(*form_options("table", "json", "markdown"), QUIET_FORM)
+@JSON
+@QUIET
 def calibrate(
     source: Path,
     outputs: tuple[Path, ...],
     overwrite: bool,
+    as_json: bool,
     quiet: bool,
     **options: Any,
 ) -> None:
@@ -80,22 +82,19 @@ def calibrate(
       prc calibrate drive.laz --method prc -o drive.toml -o drive.svg
       prc classify drive.laz out.laz --config drive.toml
     """
-    form = form_of(options)
-    for path in outputs:
-        if path.suffix.lower() not in _WRITERS:
-            raise ConfigError(str(path), "expected a name that ends in .toml or .svg")
+    writers = [form_of_output(path, _WRITERS) for path in outputs]
     loaded = config_from(options)
     inputs = (source, *loaded.files)
     prepare_outputs(*outputs, overwrite=overwrite, inputs=inputs)
     with line_progress(source.name, quiet=quiet) as progress:
         calibration = calibrate_file(source, loaded, progress=progress)
     with whole_set():
-        for path in outputs:
-            text = _WRITERS[path.suffix.lower()](calibration)
+        for path, writer in zip(outputs, writers, strict=True):
+            text = writer(calibration)
             with atomic_output(path, overwrite=overwrite) as temporary:
                 temporary.write_text(text, encoding="utf-8")
-    if form != "table":
-        print_text(as_json(calibration) if form == "json" else as_markdown(calibration))
+    if as_json:
+        print_text(calibration_json(calibration))
     elif not quiet:
         _print(calibration)
     if not quiet:

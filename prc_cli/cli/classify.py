@@ -71,7 +71,6 @@ FEW_SHOTS = 100
 @click.option(
     "--reason", is_flag=True, help="Also write the number of the rule that gave the label."
 )
-@click.option("--segment-ids", is_flag=True, help="Also write the segment id of every shot.")
 @click.option(
     "--threads",
     type=click.IntRange(min=1),
@@ -95,7 +94,6 @@ def classify(
     sources: tuple[Path, ...],
     output: Path,
     overwrite: bool,
-    segment_ids: bool,
     engine: Engine,
     as_json: bool,
     quiet: bool,
@@ -127,7 +125,6 @@ def classify(
     columns = {
         "output.confidence=true": options.pop("confidence"),
         "output.reason=true": options.pop("reason"),
-        "output.segment_ids=true": segment_ids,
     }
     wanted = (assignment for assignment, is_wanted in columns.items() if is_wanted)
     options["assignments"] = (*options["assignments"], *wanted)

@@ -26,9 +26,8 @@ def config() -> None:
 
 @config.command()
 @stream_options
-@click.option("--bare", is_flag=True, help="Print no comments.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, with the source of every value.")
-def show(bare: bool, as_json: bool, **options: Any) -> None:
+def show(as_json: bool, **options: Any) -> None:
     """Print the effective configuration as TOML, ready to use as a configuration file.
 
     \b
@@ -38,7 +37,7 @@ def show(bare: bool, as_json: bool, **options: Any) -> None:
     if as_json:
         print_json({"config": loaded.config.to_table(), "sources": loaded.sources})
     else:
-        print_text(to_toml(loaded, comments=not bare))
+        print_text(to_toml(loaded))
 
 
 @config.command()

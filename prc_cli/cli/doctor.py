@@ -12,12 +12,7 @@ from prc_cli.core.errors import ExitCode
 
 
 @click.command()
-@click.option(
-    "--out",
-    type=WRITTEN,
-    metavar="FOLDER",
-    help="Also check this folder for the outputs of prc batch.",
-)
+@click.argument("out", metavar="[FOLDER]", type=WRITTEN, required=False)
 @click.option("--no-run", is_flag=True, help="Skip the two small test runs.")
 @click.option("--json", "as_json", is_flag=True, help="Print the checks as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Print only warnings and faults.")
@@ -32,13 +27,15 @@ def doctor(
     Then prc classifies a small simulated street, and compares the compiled loops with prc classify
     --engine reference.
 
+    If you name a FOLDER, prc also checks it for the outputs of prc batch.
+
     Each check prints ok, warn or bad, and what to do. warn: prc works, but slowly or not with every
     file. If a check is bad, the exit code is 1.
 
     \b
     Examples:
       prc doctor
-      prc doctor --out /archive/classified
+      prc doctor /archive/classified
       prc doctor --json --no-run
     """
     from prc_cli.jobs.doctor import examine

@@ -14,26 +14,26 @@ import click
 
 from prc_cli.cli.evaluate_answers import unless_answers
 from prc_cli.cli.options import (
+    JSON,
     POSES,
-    QUIET_FORM,
+    QUIET,
     Sectioned,
     Word,
     add_options,
+    by_side,
     complete_mapping,
-    form_of,
     form_of_output,
-    form_options,
     numbers,
     window_options,
 )
 from prc_cli.cli.output import console, print_table, print_text, results
 from prc_cli.cli.paths import NAMED, READ, READ_TEXT, WRITTEN
-from prc_cli.core.errors import ConfigError, ExitCode, InputError
-from prc_cli.core.files import atomic_output, open_to_read, prepare_outputs, whole_set
+from prc_cli.core.errors import ConfigError, ExitCode
+from prc_cli.core.files import atomic_output, prepare_outputs, whole_set
 from prc_cli.core.near import did_you_mean
 from prc_cli.core.window import Window, window_of
 from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.html import as_html, check_picture
+from prc_cli.evaluation.html import as_html
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.methods import (
     ComparedMethods,
@@ -85,37 +85,29 @@ SHOWN_PLACES = 5
 """Places shown on a terminal."""
 
 DEFAULTS = EvaluateOptions()
+SIDES = ("predicted", "reference")
 
 Pictures = Sequence[tuple[str, bytes]]
 
 _OPTIONS = [
     click.option(
         "--mapping",
+        "mappings",
         type=READ_TEXT,
+        multiple=True,
         metavar="NAME|FILE.toml",
         shell_complete=complete_mapping,
-        help="Classes of the codes: a preset (prc, street, asprs, terrascan, ...) or a file.  "
-        "[default: the mapping of the method in the run record beside PREDICTED, else prc]",
+        help="Classes of the codes: a preset (prc, street, asprs, terrascan, ...) or a file. "
+        "third=NAME: those of --third.  [default: the mapping of the method in the run record "
+        "beside PREDICTED, else prc]",
     ),
     click.option(
         "--dimension",
-        "predicted_dimension",
-        metavar="NAME",
-        help="Column or dimension with the predicted codes.",
-    ),
-    click.option(
-        "--reference-dimension",
-        metavar="NAME",
-        help="Column or dimension with the reference codes.",
-    ),
-    click.option(
-        "--pair",
-        "pairs",
+        "dimensions",
         multiple=True,
-        nargs=2,
-        type=READ,
-        metavar="PREDICTED REFERENCE",
-        help="Add a pair of files or folders to the same matrix. Can be repeated.",
+        metavar="NAME",
+        help="Column or dimension with the predicted codes. reference=NAME: with the reference "
+        "codes.",
     ),
     click.option(
         "--match",
@@ -171,13 +163,6 @@ _OPTIONS = [
         help="Compare both with a third labelling, by order or nearest.",
     ),
     click.option(
-        "--third-mapping",
-        type=READ_TEXT,
-        metavar="NAME|FILE.toml",
-        shell_complete=complete_mapping,
-        help="Classes of the codes of the third labelling.  [default: as for REFERENCE]",
-    ),
-    click.option(
         "--allow-missing",
         is_flag=True,
         help="Skip files that are in only one of the folders.",
@@ -196,16 +181,12 @@ _OPTIONS = [
     ),
     click.option(
         "--points",
-        "predicted_points",
-        type=READ,
+        "points",
+        multiple=True,
+        type=READ_TEXT,
         metavar="PATH",
-        help="Points of PREDICTED, if it contains only labels: the input of the run, or a folder.",
-    ),
-    click.option(
-        "--reference-points",
-        type=READ,
-        metavar="PATH",
-        help="Points of REFERENCE, if it contains only labels, or their folder.",
+        help="Points of PREDICTED, if it contains only labels: the input of the run, or a folder. "
+        "reference=PATH: points of REFERENCE.",
     ),
     *POSES,
     click.option(
@@ -215,12 +196,6 @@ _OPTIONS = [
         metavar="WHAT",
         help="Split by range [m] (range:5,10,20,40), by N scan lines (lines:99), by scanner "
         "(scanner) or by confidence [%] (confidence:50,80,90,95,99). Can be repeated.",
-    ),
-    click.option(
-        "--min-confidence",
-        type=click.IntRange(0, 100),
-        metavar="PERCENT",
-        help="Skip predictions with less confidence.",
     ),
     click.option(
         "-M",
@@ -233,7 +208,7 @@ _OPTIONS = [
         is_flag=True,
         help="Print confidence intervals of all scores (block jackknife).",
     ),
-    *form_options("table", "json", "csv", "markdown", "html"),
+    JSON,
     click.option(
         "-o",
         "--output",
@@ -251,15 +226,7 @@ _OPTIONS = [
         "HTML page then has the first thirty with a picture.",
     ),
     click.option("--overwrite", is_flag=True, help="Replace files that exist."),
-    click.option(
-        "--picture",
-        "pictures",
-        type=READ_TEXT,
-        multiple=True,
-        metavar="[TITLE=]FILE.png",
-        help="Add a picture to the HTML page. Can be repeated.",
-    ),
-    QUIET_FORM,
+    QUIET,
     click.option(
         "--fail-under",
         "gates",
@@ -281,8 +248,8 @@ _OPTIONS = [
         "--intervals",
         "--fail-under",
         "--output",
-        "--format",
         "--overwrite",
+        "--json",
     ),
 )
 @click.argument("paths", metavar="PREDICTED... REFERENCE", nargs=-1, required=True, type=NAMED)
@@ -312,7 +279,6 @@ def evaluate(paths: tuple[tuple[str, Path], ...], **options: Any) -> None:
       prc evaluate labels.npy tiles/ --match nearest --points drive.npz \\
         --trajectory path.csv --mount 0,25,0
     """
-    form = form_of(options)
     *predicted, (_, reference) = paths
     if not predicted:
         message = "Missing argument 'REFERENCE'."
@@ -327,8 +293,8 @@ def evaluate(paths: tuple[tuple[str, Path], ...], **options: Any) -> None:
         for path, text in zip(written, texts, strict=True):
             with atomic_output(path, overwrite=options["overwrite"]) as temporary:
                 temporary.write_text(text, encoding="utf-8", newline="\n")
-    if form != "table":
-        print_text(report.text(form))
+    if options["as_json"]:
+        print_text(report.text("json"))
     elif not options["quiet"]:
         report.print()
     if report.chosen_mapping and not options["quiet"]:
@@ -350,27 +316,24 @@ def _checked_outputs(
     for where, path, forms in asked:
         written[path] = form_of_output(path, forms, where)
     if written:
-        pairs = [path for pair in options["pairs"] for path in pair]
-        inputs = tuple(files_of((*(path for _, path in paths), *pairs)))
+        inputs = tuple(files_of([path for _, path in paths]))
         prepare_outputs(*written, overwrite=options["overwrite"], inputs=inputs)
     return written
 
 
 def _compare_one(predicted: Path, reference: Path, options: Mapping[str, Any]) -> _Report:
     how = _how(options)
-    left, right = zip((predicted, reference), *options["pairs"], strict=True)
-    name = options["mapping"]
+    name = _mapping(options)
     chosen = ""
     if not name:
-        name, why = mapping_of_runs(files_of(left), files_of(right), how.reference_dimension)
+        left, right = (files_of([path]) for path in (predicted, reference))
+        name, why = mapping_of_runs(left, right, how.reference_dimension)
         chosen = f"{name} ({why})" if why else ""
     mapping = load_mapping(name)
     gate_list = [parse_gate(text, mapping) for text in options["gates"]]
     page_wanted = _is_page_wanted(options)
-    pictures = _read_pictures(options["pictures"], wanted=page_wanted)
-    evaluation = evaluate_all(left, right, name, options=how)
-    if page_wanted:
-        pictures = (*_class_pictures(evaluation, mapping, how), *pictures)
+    evaluation = evaluate_all((predicted,), (reference,), name, options=how)
+    pictures = _class_pictures(evaluation, mapping, how) if page_wanted else ()
     gates = check_gates(scores(evaluation.matrix), gate_list)
     return _OneReport(mapping, chosen, pictures, evaluation, gates)
 
@@ -380,7 +343,7 @@ def _compare_methods(
 ) -> _Report:
     _refuse_for_one(options)
     how = _how(options)
-    name = options["mapping"]
+    name = _mapping(options)
     chosen = ""
     if not name:
         sides = [files_of([path]) for _, path in predicted]
@@ -388,23 +351,21 @@ def _compare_methods(
         chosen = f"{name} ({why})" if why else ""
     mapping = load_mapping(name)
     gate_list = [parse_gate(text, mapping) for text in options["gates"]]
-    pictures = _read_pictures(options["pictures"], wanted=_is_page_wanted(options))
     methods = evaluate_methods(named_files(predicted), reference, name, options=how)
     gates = {
         method: check_gates(scores(evaluation.matrix), gate_list)
         for method, evaluation in methods.evaluations.items()
     }
-    return _MethodsReport(mapping, chosen, pictures, methods, gates)
+    return _MethodsReport(mapping, chosen, methods, gates)
 
 
 def _is_page_wanted(options: Mapping[str, Any]) -> bool:
-    suffixes = {path.suffix.lower() for path in options["outputs"]}
-    return form_of(options) == "html" or ".html" in suffixes
+    return any(path.suffix.lower() == ".html" for path in options["outputs"])
 
 
 def _refuse_for_one(options: Mapping[str, Any]) -> None:
     """Refuse options that compare one prediction with the reference."""
-    flags = {"pairs": "--pair", "third": "--third", "places": "--places", "splits": "--by"}
+    flags = {"third": "--third", "places": "--places", "splits": "--by"}
     for name, flag in flags.items():
         if options.get(name):
             problem = "several predicted files, expected one with this option"
@@ -439,7 +400,6 @@ class _Report(ABC):
     mapping: ClassMapping
     chosen_mapping: str
     """Name of the preset and why prc chose it; empty for a given mapping."""
-    pictures: Pictures
 
     @property
     @abstractmethod
@@ -464,6 +424,7 @@ class _Report(ABC):
 class _OneReport(_Report):
     """The reports of one evaluation."""
 
+    pictures: Pictures
     evaluation: Evaluation
     gates: tuple[GateResult, ...]
 
@@ -522,9 +483,7 @@ class _MethodsReport(_Report):
         if form == "html":
             evaluations = self.methods.evaluations.values()
             files = [Path(name) for evaluation in evaluations for name in evaluation.predicted]
-            return methods_html(
-                self.methods, self.gates, pictures=self.pictures, origin=origin(files)
-            )
+            return methods_html(self.methods, self.gates, origin=origin(files))
         if form == "csv":
             return methods_csv(self.methods)
         if form == "json":
@@ -550,6 +509,15 @@ def _how(options: Mapping[str, Any]) -> EvaluateOptions:
     }
     read = {
         **_splits(options["splits"]),
+        **{
+            f"{side}_dimension": name
+            for side, name in by_side(options["dimensions"], "--dimension", *SIDES).items()
+        },
+        **{
+            f"{side}_points": Path(name)
+            for side, name in by_side(options["points"], "--points", *SIDES).items()
+        },
+        "third_mapping": _mapping(options, "third"),
         "height": _heights(options["height"]),
         "mount": numbers(options["mount"], "--mount"),
         "window": _window(options["only"]),
@@ -557,6 +525,11 @@ def _how(options: Mapping[str, Any]) -> EvaluateOptions:
         "place_pictures": options["places"] is not None and _is_page_wanted(options),
     }
     return EvaluateOptions(**{**explicit, **read})
+
+
+def _mapping(options: Mapping[str, Any], side: str = "") -> str | None:
+    """Return the class mapping of both sides, or of the third labelling."""
+    return by_side(options["mappings"], "--mapping", "", "third").get(side)
 
 
 def _heights(text: str | None) -> tuple[float, float] | None:
@@ -628,30 +601,6 @@ def _per_cents(text: str) -> tuple[int, ...]:
     return edges
 
 
-def _read_pictures(texts: Sequence[str], *, wanted: bool) -> Pictures:
-    if texts and not wanted:
-        raise ConfigError(
-            "--picture",
-            "only the HTML page contains pictures",
-            "add --output report.html",
-        )
-    pictures = []
-    for text in texts:
-        # a file name may contain the separator itself
-        title, equals, name = text.partition("=")
-        path = Path(text) if not equals or Path(text).is_file() else Path(name)
-        title = title if path != Path(text) else path.stem
-        with open_to_read(path) as handle:
-            try:
-                content = handle.read()
-            except OSError as error:
-                problem = f"cannot be read ({error.strerror or error})"
-                raise InputError(str(path), problem, "give a PNG picture") from error
-        check_picture(str(path), content)
-        pictures.append((title, content))
-    return pictures
-
-
 def print_evaluation(
     matrix: ConfusionMatrix, table: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS
 ) -> None:
@@ -683,7 +632,7 @@ def print_evaluation_details(evaluation: Evaluation, gates: Sequence[GateResult]
         print_table(f"by {split}", header, rows[:MAX_PARTS])
         if len(rows) > MAX_PARTS:
             results().print(
-                f"and {len(rows) - MAX_PARTS} more; --output and --format have all of them"
+                f"and {len(rows) - MAX_PARTS} more; --output and --json have all of them"
             )
     if evaluation.three is not None:
         print_table("three labellings", *evaluation.three.table())

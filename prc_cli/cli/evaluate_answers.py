@@ -11,7 +11,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from prc_cli.cli.options import form_of, form_of_output
+from prc_cli.cli.options import form_of_output
 from prc_cli.cli.output import print_table, print_text, results
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, prepare_outputs, whole_set
@@ -32,7 +32,7 @@ from prc_cli.evaluation.scores import GateResult, refuse_failed
 from prc_cli.jobs.evaluate.answers import evaluate_answers
 
 _FORMS = {".json": "json", ".csv": "csv", ".md": "markdown"}
-_OPTIONS = {"form", "as_json_flag", "outputs", "overwrite", "quiet", "gates"}
+_OPTIONS = {"as_json", "outputs", "overwrite", "quiet", "gates"}
 """Options that make sense for answers; the others belong to a reference."""
 
 
@@ -53,12 +53,9 @@ def unless_answers(compare: Callable[..., None]) -> Callable[..., None]:
 def print_answers(classified: Path, answers: Sequence[Path], options: Mapping[str, Any]) -> None:
     """Evaluate answers, and print and write the result."""
     _refuse_other_options()
-    form = form_of(options)
     limits = [_limit(text) for text in options["gates"]]
     outputs: tuple[Path, ...] = options["outputs"]
     forms = [form_of_output(path, _FORMS) for path in outputs]
-    if form == "html":
-        raise ConfigError("--format", "found html, which answers do not have", "choose another")
     if outputs:
         inputs = (classified, *answers)
         prepare_outputs(*outputs, overwrite=options["overwrite"], inputs=inputs)
@@ -69,8 +66,8 @@ def print_answers(classified: Path, answers: Sequence[Path], options: Mapping[st
             text = _text(form_of_file, evaluation, gates)
             with atomic_output(path, overwrite=options["overwrite"]) as temporary:
                 temporary.write_text(text, encoding="utf-8", newline="\n")
-    if form != "table":
-        print_text(_text(form, evaluation, gates))
+    if options["as_json"]:
+        print_text(_text("json", evaluation, gates))
     elif not options["quiet"]:
         _print(evaluation, gates)
     refuse_failed(gates)

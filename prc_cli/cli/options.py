@@ -43,10 +43,10 @@ def complete_assignment(
     ctx: click.Context, parameter: click.Parameter, incomplete: str
 ) -> list[str]:
     """Complete ``KEY=VALUE``: the keys of the configuration, then the words of a choice."""
-    from prc_cli.config import RunConfig
+    from prc_cli.config import BatchTable, RunConfig
 
     key, equals, value = incomplete.partition("=")
-    kinds = dict(_keys_of(RunConfig, ""))
+    kinds = {**dict(_keys_of(RunConfig, "")), **dict(_keys_of(BatchTable, ""))}
     if not equals:
         return [f"{name}=" for name in kinds if name.startswith(key)]
     return [f"{key}={word}" for word in _words(kinds.get(key)) if word.startswith(value)]
@@ -89,6 +89,7 @@ def _toml_files(incomplete: str) -> list[str]:
 
 
 CommandT = TypeVar("CommandT", bound=Callable[..., Any])
+FormT = TypeVar("FormT")
 
 
 class Word(click.Choice):  # type: ignore[type-arg]  # not generic before click 8.2
@@ -238,13 +239,6 @@ SHARED = (
         "--scanner",
         key="input.scanner",
         help="How scanners are separated: none, scanner_channel, point_source_id or user_data.",
-    ),
-    _option(
-        "input",
-        "Input",
-        "--topic",
-        key="input.topic",
-        help="Bags: topics to read. Captures: ADDRESS:PORT. Separate several by commas.",
     ),
     _option(
         "input",
@@ -421,19 +415,6 @@ output_options = _groups("output")
 """Adds ``--json``, ``--quiet`` and ``--verbose``."""
 
 
-def form_options(*forms: str) -> list[Callable[[Any], Any]]:
-    """Return ``--format`` and ``--json``, for commands with several forms of output."""
-    return [
-        click.option(
-            "--format",
-            "form",
-            type=Word(forms),
-            help="Format of the result.  [default: table]",
-        ),
-        click.option("--json", "as_json_flag", is_flag=True, help="Short for --format json."),
-    ]
-
-
 MAPPING = click.option(
     "--mapping",
     type=READ_TEXT,
@@ -442,24 +423,46 @@ MAPPING = click.option(
     help="Classes of the codes, as for prc evaluate.",
 )
 QUIET = click.option("-q", "--quiet", is_flag=True, help="Print only errors (and --json).")
-QUIET_FORM = click.option(
-    "-q",
-    "--quiet",
-    is_flag=True,
-    help="Print only errors (and the result of --json or --format).",
-)
+JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout.")
 
 
-def form_of(options: Mapping[str, Any]) -> str:
-    """Return the form that :func:`form_options` ask for."""
-    form: str | None = options["form"]
-    if options["as_json_flag"] and form not in (None, "json"):
-        message = f"--json and --format {form} contradict each other"
-        raise click.UsageError(message)
-    return "json" if options["as_json_flag"] else form or "table"
+def by_side(texts: Iterable[str], flag: str, side: str, *others: str) -> dict[str, str]:
+    """Return the values of an option for the sides of a comparison, ``VALUE`` or ``SIDE=VALUE``.
+
+    Parameters
+    ----------
+    texts : iterable of str
+        As typed.
+    flag : str
+        For the message.
+    side : str
+        Side of a value without a name.
+    *others : str
+        Sides that a value can name.
+
+    Raises
+    ------
+    ConfigError
+        A side has two values.
+
+    Examples
+    --------
+    >>> by_side(["label", "reference=class"], "--dimension", "predicted", "reference")
+    {'predicted': 'label', 'reference': 'class'}
+    """
+    values: dict[str, str] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        is_named = bool(equals) and name in others
+        key = name if is_named else side
+        if key in values:
+            problem = f"found two values of {key}, expected one"
+            raise ConfigError(flag, problem, f"for another side: {others[0]}=VALUE")
+        values[key] = value if is_named else text
+    return values
 
 
-def form_of_output(path: Path, forms: Mapping[str, str], where: str = "") -> str:
+def form_of_output(path: Path, forms: Mapping[str, FormT], where: str = "") -> FormT:
     """Return the form of a file to write by its suffix; refuse other suffixes than of ``forms``."""
     form = forms.get(path.suffix.lower())
     if form is None:

@@ -67,12 +67,6 @@ _LENGTH = [
         help="Duration, instead of --length.",
     ),
     _option(
-        "--speed",
-        type=click.FloatRange(min=0, min_open=True),
-        metavar="M/S",
-        help="Cruising speed.",
-    ),
-    _option(
         "--trajectory",
         type=WRITTEN,
         metavar="FILE",
@@ -88,12 +82,6 @@ _LENGTH = [
 ]
 _PARAMETERS = [
     _option(
-        "--noise",
-        type=click.FloatRange(min=0),
-        metavar="METRES",
-        help="Range noise at short distance.",
-    ),
-    _option(
         "--config",
         "config_file",
         type=READ,
@@ -106,7 +94,8 @@ _PARAMETERS = [
         type=READ_TEXT,
         multiple=True,
         metavar="KEY=VALUE",
-        help="Set a parameter, e.g. scene.trees=0.9. Can be repeated.",
+        help="Set a parameter, e.g. scene.trees=0.9, scanner.noise_m=0.01 or "
+        "trajectory.speed_m_s=14. Can be repeated.",
     ),
     _option(
         "--threads",
@@ -166,8 +155,8 @@ def street(**options: Any) -> None:
     \b
     Examples:
       prc simulate street drive.laz --length 900 --seed 7 --trajectory drive.csv
-      prc simulate street drive.npz --scanner profiler-1mhz --speed 14 \\
-        --set trajectory.stop_every_m=0
+      prc simulate street drive.npz --scanner profiler-1mhz \\
+        --set trajectory.speed_m_s=14 --set trajectory.stop_every_m=0
       prc simulate street drive.laz --config terraces.toml
       prc simulate street spin.npz --scanner vlp-16 --duration 5 --frames frames/
       prc simulate street spin.bag --scanner vlp-32c --duration 5 --set flake_m=150
@@ -248,12 +237,10 @@ def scanners(as_json: bool) -> None:
     metavar="KEY=VALUE",
     help="Set a parameter, e.g. scanner.name=NAME. Can be repeated.",
 )
-@click.option("--bare", is_flag=True, help="Without comments.")
 def parameters(
     kind: Kind,
     config_file: Path | None,
     assignments: tuple[str, ...],
-    bare: bool,
 ) -> None:
     """Print all parameters of a simulation as TOML, ready for --config.
 
@@ -263,7 +250,7 @@ def parameters(
     options = table_from(assignments, {}, {})
     settings = load_settings(kind, config_file, options)
     notes = preset_notes(kind, settings, config_file, options)
-    print_text(params_to_toml(settings, notes, comments=not bare))
+    print_text(params_to_toml(settings, notes))
 
 
 _KEYS = {
@@ -271,8 +258,6 @@ _KEYS = {
     "lines": "lines",
     "length": "length_m",
     "duration": "duration_s",
-    "speed": "trajectory.speed_m_s",
-    "noise": "scanner.noise_m",
     "scanner": "scanner.name",
     "scene": "scene.name",
 }

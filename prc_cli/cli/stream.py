@@ -26,17 +26,8 @@ REPORT_S = 10.0
 
 @click.command(cls=Sectioned)
 @live_options
-@click.option(
-    "--line-hz",
-    type=click.FloatRange(min=0, min_open=True),
-    metavar="HZ",
-    help="Lines per second of the scanner, for the real-time factor. Default: "
-    "the value of the layout.",
-)
 @output_options
-def stream(
-    line_hz: float | None, as_json: bool, quiet: bool, verbose: bool, **options: Any
-) -> None:
+def stream(as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
     """Classify a live stream: ranges on stdin, one byte per shot on stdout.
 
     Without --layout the input is float32 ranges, -M of them per line. The output is the class code
@@ -59,7 +50,7 @@ def stream(
     if loaded.config.is_decided:
         with compiling_note(quiet=quiet or as_json):
             load_classifier(loaded)
-    report = None if quiet else _Reporter(REPORT_S, line_hz, as_json=as_json)
+    report = None if quiet else _Reporter(REPORT_S, as_json=as_json)
     # unbuffered: labels must not wait until a buffer is full
     source = io.FileIO(sys.stdin.fileno(), closefd=False)
     sink = io.FileIO(sys.stdout.fileno(), "w", closefd=False)
@@ -83,12 +74,12 @@ def stream(
     if as_json:
         labels = {label.name.lower(): int(summary.counts.labels[label]) for label in Label}
         doubts = [doubt.as_dict() for doubt in summary.doubts]
-        table = {**_as_dict(summary.rate, line_hz), "labels": labels, "doubts": doubts}
+        table = {**_as_dict(summary.rate), "labels": labels, "doubts": doubts}
         print_event(table)
     elif not quiet:
         if verbose:
             print_assumptions(summary.info.assumptions, summary.counts.tally)
-        print_line(_sentence(summary.rate, line_hz))
+        print_line(_sentence(summary.rate))
     if summary.doubts:
         raise SystemExit(ExitCode.LOOK)
 
@@ -109,9 +100,8 @@ def _check_pipes() -> None:
 class _Reporter:
     """Prints the rate every few seconds."""
 
-    def __init__(self, every_s: float, line_hz: float | None, *, as_json: bool) -> None:
+    def __init__(self, every_s: float, *, as_json: bool) -> None:
         self._every_s = every_s
-        self._line_hz = line_hz
         self._as_json = as_json
         self._next = time.perf_counter() + every_s
 
@@ -120,26 +110,26 @@ class _Reporter:
             return
         self._next = now + self._every_s
         if self._as_json:
-            print_event(_as_dict(rate, self._line_hz))
+            print_event(_as_dict(rate))
         else:
-            print_line(_sentence(rate, self._line_hz))
+            print_line(_sentence(rate))
 
 
-def _sentence(rate: Rate, line_hz: float | None) -> str:
+def _sentence(rate: Rate) -> str:
     shots = rate.n_shots / rate.seconds / 1e6 if rate.seconds else 0.0
     text = f"{rate.n_lines:,} lines, {rate.n_shots:,} shots in {rate.seconds:.1f} s"
     text += f" ({shots:.3g} million shots a second)"
-    factor = rate.real_time(line_hz)
+    factor = rate.real_time()
     if factor is not None:
         text += f", {factor:.3g} x real time"
     return f"{text}; latency at most {1e3 * rate.latency_s:.1f} ms"
 
 
-def _as_dict(rate: Rate, line_hz: float | None) -> dict[str, object]:
+def _as_dict(rate: Rate) -> dict[str, object]:
     return {
         "lines": rate.n_lines,
         "shots": rate.n_shots,
         "seconds": rate.seconds,
-        "real_time_factor": rate.real_time(line_hz),
+        "real_time_factor": rate.real_time(),
         "longest_latency_s": rate.latency_s,
     }

@@ -24,19 +24,14 @@ from prc_cli.jobs.thin import thin as thin_file
     "--keep",
     multiple=True,
     metavar="CLASS=FRACTION,...",
-    help="Keep this share of a class, by line and column: ground=1/4.",
+    help="Keep this share of a class, by line and column: ground=1/4. 0 removes the class. prc "
+    "always removes noise, unless you name it here.",
 )
 @click.option(
     "--spacing",
     multiple=True,
     metavar="CLASS=METRES,...",
     help="Keep shots of a class at this distance in a line: ground=0.1.",
-)
-@click.option(
-    "--drop",
-    multiple=True,
-    metavar="CLASS,...",
-    help="Remove a class. prc always removes noise, unless --keep names it.",
 )
 @click.option("--keep-only", multiple=True, metavar="CLASS,...", help="Keep only these classes.")
 @click.option(
@@ -90,15 +85,13 @@ def thin(
     \b
     Examples:
       prc thin drive_classified.laz drive_thin.laz --keep ground=1/4
-      prc thin drive.laz drive_thin.laz --preset fused --spacing ground=0.1 --drop vegetation
+      prc thin drive.laz drive_thin.laz --preset fused --spacing ground=0.1 --keep vegetation=0
       prc thin drive.csv.gz drive_thin.npz --labels labels.npy --keep building=0.5
       prc thin velodyne/ still/ --keep-only ground,building,pole
     """
-    keep, spacing, drop, keep_only = (
-        options.pop(name) for name in ("keep", "spacing", "drop", "keep_only")
-    )
+    keep, spacing, keep_only = (options.pop(name) for name in ("keep", "spacing", "keep_only"))
     loaded = config_from(options)
-    rules = parse_rules(keep, spacing, drop, loaded.config.classes, keep_only=keep_only)
+    rules = parse_rules(keep, spacing, loaded.config.classes, keep_only=keep_only)
     classify = any(options[name] is not None for name in ("preset", "method", "config_file"))
     chosen: Path | str | None = labels
     if labels is None and classify:

@@ -18,6 +18,9 @@ from prc_cli.jobs.transfer import TransferSummary
 from prc_cli.jobs.transfer import transfer as transfer_files
 from prc_cli.jobs.transfer.options import TransferOptions
 
+_NO_RETURN = "no-return"
+"""Part of ``--match`` that leaves the return numbers out."""
+
 _OPTIONS = [
     click.option(
         "--points",
@@ -35,10 +38,10 @@ _OPTIONS = [
         show_default=True,
         metavar="HOW",
         help="How points are matched: time (and return number), order (the same in both), "
-        "record:NAME "
-        "(dimension of REGISTERED with the index of the raw record), "
-        "dimension:NAME (integer dimension of "
-        "both), or nearest (in space).",
+        "record:NAME (dimension of REGISTERED with the index of the raw record), "
+        "dimension:NAME (integer dimension of both), or nearest (in space). +NAME adds an integer "
+        "dimension that must also be equal, as in time+scanner_channel. +no-return ignores the "
+        "return numbers.",
     ),
     click.option(
         "--tolerance",
@@ -59,13 +62,6 @@ _OPTIONS = [
         metavar="SECONDS",
         help="Add this to the times of LABELS, e.g. from seconds of week to adjusted standard GPS "
         "time.",
-    ),
-    click.option("--ignore-return", is_flag=True, help="Match only by time, not by return number."),
-    click.option(
-        "--same",
-        multiple=True,
-        metavar="NAME",
-        help="Integer dimension that must also be equal, e.g. scanner_channel.",
     ),
     click.option(
         "--dimension", metavar="NAME", help="Column or dimension of LABELS with the class codes."
@@ -123,7 +119,14 @@ def transfer(
       prc transfer drive_classified.laz registered.laz registered_classified.laz
       prc transfer labels.npy registered.laz out.laz --points drive.csv --tolerance 1e-6
     """
-    options = TransferOptions(**{**matching, "mount": numbers(matching["mount"], "--mount")})
+    match, *more = matching["match"].split("+")
+    matching |= {
+        "match": match,
+        "same": tuple(name for name in more if name != _NO_RETURN),
+        "ignore_return": _NO_RETURN in more,
+        "mount": numbers(matching["mount"], "--mount"),
+    }
+    options = TransferOptions(**matching)
     start = time.perf_counter()
     layout = (
         None if layout_file is None else load_config(options=layout_in(layout_file)).config.layout

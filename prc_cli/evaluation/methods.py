@@ -5,7 +5,6 @@ Every method has the evaluation of a single run. The reports put them beside eac
 
 from __future__ import annotations
 
-import base64
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -148,7 +147,6 @@ def methods_html(
     methods: ComparedMethods,
     gates: Mapping[str, Sequence[GateResult]] | None = None,
     *,
-    pictures: Sequence[tuple[str, bytes]] = (),
     origin: Sequence[str] = (),
 ) -> str:
     """Return a page without scripts: the table, and the confusion of every method."""
@@ -163,9 +161,6 @@ def methods_html(
         "rows": _with_best(rows),
         "intervals": _interval_methods(methods),
         "methods": [_method_values(methods, name) for name in methods.evaluations],
-        "pictures": [
-            (name, base64.b64encode(content).decode("ascii")) for name, content in pictures
-        ],
         "gates": gates or {},
         # "<" is escaped, so that user text cannot end the element
         "data": data.replace("<", "\\u003c"),

@@ -185,7 +185,9 @@ def _choice_after(refusal: InputError | ConfigError, scanners: Sequence[str]) ->
         others = ",".join(name.partition(" (")[0] for name in scanners if name != scanner)
         if others:
             topic = scanner.partition(" (")[0]
-            give += f", and --topic {topic}; or try the others: --topic {others}"
+            give += (
+                f", and --set input.topic={topic}; or try the others: --set input.topic={others}"
+            )
     return MethodChoice("prc-2019-urban", f"{lacks}; {_BETTER}", lacks, give)
 
 

@@ -61,9 +61,9 @@ class Rate:
     latency_s: float
     """Largest time from the last shot of a block until its labels were written [s]."""
 
-    def real_time(self, line_hz: float | None = None) -> float | None:
+    def real_time(self) -> float | None:
         """Return the throughput as a multiple of the scanner's line rate."""
-        hz = self.line_hz if line_hz is None else line_hz
+        hz = self.line_hz
         return None if hz is None or not self.seconds else self.n_lines / self.seconds / hz
 
 

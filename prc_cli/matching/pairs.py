@@ -42,7 +42,7 @@ def pair_files(
             raise InputError(
                 str(folder),
                 problem,
-                "give partners the same name but for the suffix, or use --pair",
+                "give partners the same name but for the suffix",
             )
     return tuple((left[name], right[name]) for name in sorted(left))
 
@@ -78,7 +78,7 @@ def _by_name(folder: Path) -> dict[str, Path]:
                 f"{by_name[name].name} and {path.name} have one name, "
                 "expected one file of class codes each"
             )
-            raise InputError(str(folder), problem, "move one of them away, or use --pair")
+            raise InputError(str(folder), problem, "move one of them away")
         by_name[name] = path
     if not by_name:
         raise InputError(

@@ -167,7 +167,8 @@ def _packed(path: str, chunk: RecordChunk, names: tuple[str, ...]) -> I64:
                 f"record {chunk.records()[first_wrong]}: found {name} {stored[first_wrong]}, "
                 "expected a whole number from 0 to 65535"
             )
-            hint = "--ignore-return" if name == "return_number" else f"leave out --same {name}"
+            is_return = name == "return_number"
+            hint = "--match time+no-return" if is_return else f"leave +{name} out of --match"
             raise InputError(path, problem, hint)
         packed = (packed << 16) | stored.astype(np.int64)
     return packed

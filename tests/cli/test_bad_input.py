@@ -202,14 +202,9 @@ def test_interrupting_leaves_nothing_and_says_so(
 LAYOUT = "[layout]\n{}fields = [{{name = 'range', type = '{}'}}]\n"
 CASES = [
     (
-        "calibrate drive.npz --json --format markdown",
+        "evaluate codes.npy codes.npy --dimension a --dimension b",
         2,
-        "--json and --format markdown contradict each other",
-    ),
-    (
-        "evaluate codes.npy codes.npy --json --format csv",
-        2,
-        "--json and --format csv contradict each other",
+        "--dimension: found two values of predicted, expected one",
     ),
     ("explain drive.npz --at here", 2, "found 'here', expected LINE,COLUMN, counted from 0"),
     ("classify drive.npz o.npy --only x:y", 2, "in the stream's own seconds"),

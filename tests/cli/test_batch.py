@@ -270,7 +270,7 @@ def test_clean_removes_what_the_dead_left_and_forgets_what_is_lost(
     moved = tmp_path / "archive"
     moved.mkdir()
     shutil.copy(office[0] / "drive.npz", moved)
-    cleaned = json.loads(prc("clean", out, "--forget", moved, "--json").out)
+    cleaned = json.loads(prc("clean", out, moved, "--json").out)
     assert (sorted(cleaned["removed"]), cleaned["bytes"]) == (sorted(map(str, (shared, dead))), 4)
     assert sorted(cleaned["forgotten"]) == sorted([ODD, "night/bad.laz"])
     assert cleaned["kept"] == [str(foreign_part)]
@@ -281,8 +281,8 @@ def test_clean_removes_what_the_dead_left_and_forgets_what_is_lost(
     assert json.loads(prc("clean", out, "--json").out)["removed"] == [str(foreign_part)]
     # an archive that is not mounted
     (moved / "drive.npz").unlink()
-    assert prc("clean", out, "--forget", moved).code == 2
-    assert prc("clean", out, "--forget", tmp_path / "none").code == 1
+    assert prc("clean", out, moved).code == 2
+    assert prc("clean", out, tmp_path / "none").code == 1
     assert prc("status", tmp_path / "none").code == 1
 
 
@@ -420,12 +420,13 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
     Path("ref").mkdir()
     options = (
         "--include x --include y --exclude z --since 7d --limit 3 --shard 2/3 --jobs 4 "
-        "--threads 5 --retry 2 "
+        "--set batch.threads=5 --set batch.retry=2 "
     )
-    options += "--fail-fast --overwrite --verify --stall 9 --memory-limit 800 --to laz --no-drift "
+    options += "--set batch.fail_fast=true --overwrite --verify --set batch.stall=9 --to laz "
+    options += "--set batch.memory_limit=800 --set batch.drift=false --set batch.match=time "
     options += "--accept-doubt standing "
     options += (
-        "--preset prc-2019-forest --set prc.surfaces.gamma=1 -M 99 --reference ref --match time "
+        "--preset prc-2019-forest --set prc.surfaces.gamma=1 -M 99 --reference ref "
         "--fail-under recall.stem=.1"
     )
     assert prc("a", "o", *options.split()).code in (0, 3)
@@ -452,7 +453,7 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
     assert {key: getattr(settings, key) for key in expected} == expected
     assert str(settings.shard) == "2/3"
     assert settings.config.preset == "prc-2019-forest"
-    assert settings.config.options == {
+    assert {key: settings.config.options[key] for key in ("prc", "input")} == {
         "prc": {"surfaces": {"gamma": 1}},
         "input": {"points_per_line": 99, "accept_doubts": ["standing"]},
     }

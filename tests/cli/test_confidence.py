@@ -56,15 +56,11 @@ def test_evaluate_tells_how_reliable_it_is(prc: Prc, folder: Path) -> None:
     assert [part["low"] for part in parts] == [0, 50, 90, 99]
     assert sum(part["n_scored"] for part in parts) == THERE.sum()
     assert parts[-1]["n_scored"] == (sure >= 99).sum()
-    above = json.loads(prc(*command, "--min-confidence", "90", "--json").out)
-    assert above["n_scored"] == (sure >= 90).sum()
-    assert above["overall"]["accuracy"] > evaluation["overall"]["accuracy"]
-    assert any("below 90 %: left out" in note for note in above["match"]["notes"])
 
 
 def test_evaluate_without_it(prc: Prc, folder: Path) -> None:
     np.save(folder / "labels.npy", np.load(folder / "truth.npy"))
-    result = prc("evaluate", folder / "labels.npy", folder / "truth.npy", "--min-confidence", "90")
+    result = prc("evaluate", folder / "labels.npy", folder / "truth.npy", "--by", "confidence:90")
     assert result.code == 2
     assert "no confidence in" in result.err
     assert "output.confidence=true" in result.err
@@ -112,6 +108,6 @@ def test_the_most_confident_of_a_real_strip_are_right(
     assert prc("classify", strip, labels, *options).code == 0
     command = ("evaluate", labels, strip, "--mapping", "street_oakland", "--json")
     every = json.loads(prc(*command).out)["overall"]["accuracy"]
-    sure = json.loads(prc(*command, "--min-confidence", "98").out)
+    _, sure = json.loads(prc(*command, "--by", "confidence:98").out)["splits"]["confidence"]
     assert sure["n_scored"] > 30_000
     assert sure["overall"]["accuracy"] > every + 0.02

@@ -83,7 +83,7 @@ def test_the_default_is_a_preset_and_says_so(
 def test_what_is_asked_for_may_leave_one_method(prc: Prc, scans: Path) -> None:
     down = ("--set", "input.nadir=0")
     for options in (
-        ("--segment-ids",),
+        ("--set", "output.segment_ids=true"),
         ("--engine", "reference"),
         ("--set", "prc.support.zeta_p=0.5"),
     ):

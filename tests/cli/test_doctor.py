@@ -38,7 +38,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
 def test_this_installation_is_sound_from_end_to_end(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, out, _ = run(capsys, "--json", "--out", str(tmp_path / "new" / "folder"))
+    code, out, _ = run(capsys, "--json", str(tmp_path / "new" / "folder"))
     report = json.loads(out)
     by_name = {check["name"]: check for check in report["checks"]}
     assert code == 0, report
@@ -117,7 +117,6 @@ def test_a_package_that_does_not_load_is_named_and_the_rest_is_looked_at(
         "doctor",
         "--no-run",
         "--json",
-        "--out",
         str(tmp_path / "out"),
     ]
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}

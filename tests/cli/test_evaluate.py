@@ -77,13 +77,6 @@ def save(
         (["--by", "range:5,nan"], 2, "--by range: found '5,nan'"),
         (["--by", "lines:0"], 2, "--by: found 'lines:0'"),
         (["--min-matched", "1.5"], 2, "--min-matched"),
-        (["--picture", "x.png"], 2, "--picture: only the HTML page contains pictures"),
-        (["--picture", "none.png", "--output", "r.html"], 1, "none.png: cannot be read"),
-        (
-            ["--picture", "reference/a.csv", "--output", "r.html"],
-            1,
-            "reference/a.csv: is no PNG picture",
-        ),
         (["--fail-under", "recall.road=1", "--output", "r.html"], 2, "score: found class 'road'"),
         (
             ["--fail-under", "recall.noise=1", "--mapping", "oakland"],
@@ -92,8 +85,7 @@ def save(
         ),
         (["--intervals"], 1, "give -M, or compare more lines"),
         (["--match", "magic"], 2, "magic"),
-        (["--pair", "none.npy", "reference/a.csv"], 1, "none.npy: no such file"),
-        (["--pair", "run", "reference/a.csv"], 1, "a file against the folder run"),
+        (["--points", "reference=none.laz", "--match", "nearest"], 1, "none.laz"),
     ],
 )
 def test_refusals_are_one_line_and_leave_nothing(

@@ -247,7 +247,7 @@ def test_a_step_has_a_limit_of_processor_time(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_page_that_says_two_gigabytes_is_one_line(tmp_path: Path) -> None:
     path = huge_page(tmp_path / "a.parquet")
-    ended = prc("evaluate", path, path, "--dimension", "range", "--reference-dimension", "range")
+    ended = prc("evaluate", path, path, "--dimension", "range", "--dimension", "reference=range")
     assert (ended.returncode, folded(ended.stderr).count("\n")) == (1, 1), ended.stderr
     assert f"{path}: record 0 and on cannot be read (malloc of size" in ended.stderr
 

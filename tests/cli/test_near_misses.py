@@ -47,6 +47,9 @@ def test_an_old_preset_has_a_note_and_the_new_name_in_the_sources(prc: Prc) -> N
         ("config show --return first", "type --set input.return="),
         ("evaluate a b --mapping stret", "did you mean 'street'?"),
         ("evaluate a b --by rnge:5", "did you mean 'range'?"),
+        ("batch run a b --retry 2", "type --set batch.retry=N"),
+        ("batch a b --set batch.stal=2", "did you mean 'batch.stall'?"),
+        ("batch runn b", "did you mean prc batch run?"),
         ("batch a b --only-failed", "type prc batch retry OUT"),
     ],
 )
@@ -59,6 +62,14 @@ def test_a_near_miss_is_answered(
     result = prc(*shlex.split(command))
     assert result.code == 2
     assert answer in result.err
+
+
+@pytest.mark.parametrize("typed", [*GONE_OF, *(f"prc classify {flag}" for flag in GONE)])
+def test_every_option_that_went_has_an_answer(prc: Prc, typed: str) -> None:
+    _, *words, flag = typed.split()
+    result = prc(*words, flag)
+    assert result.code == 2
+    assert f"there is no option {flag} any more" in result.err
 
 
 def test_no_option_of_today_is_among_those_that_went() -> None:

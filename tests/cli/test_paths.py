@@ -31,7 +31,6 @@ NO_PATHS = {
     "--lines",
     "--columns",
     "--scanner",
-    "--topic",
     "--only",
     "--steps",
     "--reference-dimension",
@@ -50,10 +49,8 @@ NO_PATHS = {
     "--to",
     "--keep",
     "--spacing",
-    "--drop",
     "--keep-only",
     "--dimension",
-    "--same",
     "--carry",
 }
 """Texts that never name a file."""

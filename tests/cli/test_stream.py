@@ -71,7 +71,7 @@ def reference(tmp_path: Path, data: bytes, *arguments: str) -> bytes:
 
 def test_the_bytes_of_classify(tmp_path: Path) -> None:
     data = street().tobytes()
-    code, out, err = run(data, *URBAN, "--line-hz", "48")
+    code, out, err = run(data, *URBAN, "--set", "layout.line_frequency=48")
     assert code == 0, err
     assert out == reference(tmp_path, data, *URBAN)
     assert "137 lines" in err

@@ -94,7 +94,14 @@ def test_las_holds_the_records_of_the_window_alone(prc: Prc, folder: Path) -> No
     assert "compare it" not in repeated
     # codes above 31 make the point format a larger one; segment ids are appended
     result = prc(
-        "classify", folder / "d.laz", folder / "s.laz", "--only", "2s", "--segment-ids", *URBAN
+        "classify",
+        folder / "d.laz",
+        folder / "s.laz",
+        "--only",
+        "2s",
+        "--set",
+        "output.segment_ids=true",
+        *URBAN,
     )
     assert result.code == 0, result.err
     assert laspy.read(folder / "s.laz").header.point_count == np.count_nonzero(

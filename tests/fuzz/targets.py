@@ -133,10 +133,10 @@ READ: tuple[tuple[str, ...], ...] = (
 
 LAS = (
     ("classify", "{case}", "{out}/o.laz", *_P),
-    ("classify", "{case}", "{out}/o.las", *_P, "--segment-ids"),
+    ("classify", "{case}", "{out}/o.las", *_P, "--set", "output.segment_ids=true"),
     ("convert", "{case}", "{out}/o.laz"),
     ("convert", "{case}", "{out}/o.las"),
-    ("thin", "{case}", "{out}/o.laz", "--drop", "ground"),
+    ("thin", "{case}", "{out}/o.laz", "--keep", "ground=0"),
     ("transfer", "{seeds}/pf6.las", "{case}", "{out}/o.las"),
     ("transfer", "{case}", "{seeds}/pf6.laz", "{out}/o.laz"),
     ("transfer", "{case}", "{seeds}/pf6.laz", "{out}/o.laz", "--by", "record", "--min-match", "0"),
@@ -144,9 +144,9 @@ LAS = (
 
 LABELS = (
     ("evaluate", "{case}", "{seeds}/labels.npy"),
-    ("evaluate", "{seeds}/labels.npy", "{case}", "--format", "json"),
-    ("evaluate", "{seeds}/labels.npy", "{case}", "--format", "html", "--output", "{out}/o.html"),
-    ("evaluate", "{case}", "{seeds}/a.csv", "--format", "markdown"),
+    ("evaluate", "{seeds}/labels.npy", "{case}", "--json"),
+    ("evaluate", "{seeds}/labels.npy", "{case}", "--output", "{out}/o.html"),
+    ("evaluate", "{case}", "{seeds}/a.csv", "-o", "{out}/o.md"),
     ("evaluate", "{case}", "{seeds}/a.csv", "--match", "dimension:record"),
     ("transfer", "{case}", "{seeds}/pf6.las", "{out}/o.las", "--points", "{seeds}/a.csv"),
     ("render", "{seeds}/a.csv", "{out}/o.png", "--labels", "{case}", *_SMALL),
@@ -210,7 +210,7 @@ TARGETS: dict[str, Target] = {
             ("batch", "status", "{case}"),
             ("batch", "status", "{case}", "--json"),
             ("batch", "clean", "{case}", "--dry-run"),
-            ("batch", "clean", "{case}", "--forget", "{seeds}"),
+            ("batch", "clean", "{case}", "{seeds}"),
         ),
         inside=STATE,
     ),
@@ -218,7 +218,7 @@ TARGETS: dict[str, Target] = {
         ("labelled/a.npy.prc.json",),
         (
             ("evaluate", "{case}", "{case}"),
-            ("evaluate", "{case}", "{case}", "--format", "json"),
+            ("evaluate", "{case}", "{case}", "--json"),
             ("render", "{seeds}/a.npy", "{out}/o.png", "--labels", "{case}", *_SMALL),
         ),
         inside="labelled/a.npy",
@@ -232,7 +232,8 @@ TARGETS: dict[str, Target] = {
         ),
     ),
     "bag": Target(
-        ("plain.bag", "bz2.bag", "lz4.bag"), (*RECORDED, ("info", "{case}", "--topic", "/scan"))
+        ("plain.bag", "bz2.bag", "lz4.bag"),
+        (*RECORDED, ("info", "{case}", "--set", "input.topic=/scan")),
     ),
     "mcap": Target(("plain.mcap", "zstd.mcap", "lz4.mcap", "mixed.mcap"), RECORDED),
     "db3": Target(("plain.db3", "zstd.db3", "cloud.db3"), RECORDED),
@@ -291,10 +292,10 @@ TARGETS: dict[str, Target] = {
                 "{seeds}/labels.npy",
                 "--mapping",
                 "{case}",
-                "--format",
-                form,
+                "-o",
+                "{out}/o." + suffix,
             )
-            for form in ("table", "csv", "markdown", "html", "json")
+            for suffix in ("csv", "md", "html", "json")
         ),
     ),
     "simulate": Target(

@@ -109,7 +109,10 @@ def _tables() -> Iterator[tuple[str, str]]:
             f"config show --preset {preset} ; config show --preset {preset} --json",
         )
         yield f"street-{name}", f"classify ../sim-street-laz/s.laz o.laz --preset {preset} -v"
-        yield f"sick-{name}", f"classify ../sim-sick/k.csv o.csv --preset {preset} --segment-ids"
+        yield (
+            f"sick-{name}",
+            f"classify ../sim-sick/k.csv o.csv --preset {preset} --set output.segment_ids=true",
+        )
         # a street is nothing but noise to the preset of forests
         accepted = " --accept-doubt noise-share" if name == "forest" else ""
         classified = f"classify {LAS} o.laz --preset {preset} --json{accepted}"
@@ -153,7 +156,8 @@ def _tables() -> Iterator[tuple[str, str]]:
     for suffix in ("npz", "las", "laz", "csv", "csv.gz", "parquet", "npy"):
         yield (
             f"labels-{suffix}",
-            f"classify ../sim-forest/f.npz o.{suffix} --preset prc-2019-forest --segment-ids -q",
+            f"classify ../sim-forest/f.npz o.{suffix} --preset prc-2019-forest "
+            "--set output.segment_ids=true -q",
         )
     for key, value in (
         *(("background.form", form) for form in ("literal", "abs", "guard")),

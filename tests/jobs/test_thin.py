@@ -168,7 +168,7 @@ def test_several_scanners_and_returns(tmp_path: Path, suffix: str) -> None:
             {"spacing": ["xyzzy=1"]},
             "unknown class 'xyzzy'; known classes: unclassified, noise, ground",
         ),
-        ({"drop": ["vegitation"]}, "did you mean 'vegetation'?"),
+        ({"keep": ["vegitation=0"]}, "did you mean 'vegetation'?"),
         ({"keep": ["ground=5/4"]}, "found 'ground=5/4', expected a fraction from 0 to 1"),
         ({"keep": ["ground=-1/4"]}, "expected a fraction from 0 to 1"),
         ({"keep": ["ground=1/0"]}, "expected a fraction from 0 to 1"),
@@ -201,9 +201,8 @@ def test_bad_input_is_one_line_and_leaves_nothing(
         thin(drive, out / "a.npz", labels=tmp_path / "short.npy")
     with pytest.raises(InputError, match="found 77 labels, expected"):
         thin(labelled, out / "a.laz", labels=tmp_path / "short.npy")
-    everything = parse_rules(
-        drop=["ground", "building", "vegetation", "unclassified", "car", "curb", "pole"]
-    )
+    names = ("ground", "building", "vegetation", "unclassified", "car", "curb", "pole")
+    everything = parse_rules([f"{name}=0" for name in names])
     with pytest.raises(ConfigError, match="returns would be dropped, expected some to stay"):
         thin(labelled, out / "a.laz", everything)
     with pytest.raises(ConfigError, match="the cell of a shot depends on the order of the records"):

@@ -283,7 +283,9 @@ def test_scanners_that_share_times_are_kept_apart(tmp_path: Path) -> None:
     summary = transfer(labels, registered, tmp_path / "out.las", TransferOptions(same=("head",)))
     assert summary.counts.n_shared == 0
     assert np.array_equal(codes_of(tmp_path / "out.las"), both.codes[record])
-    text = "have several labels of their key, which differ, expected at most 50%; .*--same"
+    text = (
+        "several labels of their key, which differ, expected at most 50%; .*--match time.intensity"
+    )
     refused(tmp_path, text, labels, registered, tmp_path / "mixed.las")
     summary = transfer(labels, registered, tmp_path / "mixed.las", TransferOptions(min_matched=0.1))
     assert summary.counts.n_by_majority > 0

@@ -122,7 +122,7 @@ def test_5_a_night_ends_with_the_state_of_the_archive(prc: Shell) -> None:
     killed.wait()
     whole = (prc.here / "archive/a.npz").read_bytes()
     (prc.here / "archive/cut.npz").write_bytes(whole[: len(whole) // 2])
-    prc("prc thin drive.npz archive/thinned.npz --drop noise -q --keep-empty")
+    prc("prc thin drive.npz archive/thinned.npz --keep noise=0 -q --keep-empty")
     said = prc("prc batch archive out", code=1)
     assert "thinned" in said.out + said.err
     assert "cut.npz" in said.out + said.err
@@ -160,8 +160,8 @@ def test_6_the_tables_of_the_paper_against_car(prc: Shell) -> None:
 def test_7_a_bag_of_two_scanners_to_frames_of_points(prc: Shell, real_data: Path) -> None:
     shutil.copy(real_data / "cartographer/b0_short.bag", prc.here)
     prc(
-        "prc thin b0_short.bag frames.ply -q --topic vertical_laser_2d "
-        "--preset prc-2019-urban --drop noise"
+        "prc thin b0_short.bag frames.ply -q --set input.topic=vertical_laser_2d "
+        "--preset prc-2019-urban --keep noise=0"
     )
     xyz, _ = points_of(prc.here / "frames.ply")
     assert len(xyz) > 100_000

@@ -96,7 +96,7 @@ def test_floor_and_ceiling_of_a_museum_are_not_taken_for_each_other(
     """
     bag = str(real_data / "cartographer" / "b0_short.bag")
     labels = str(tmp_path / "labels.npy")
-    words = ["classify", bag, labels, "--topic", "vertical_laser_2d", "--overwrite"]
+    words = ["classify", bag, labels, "--set", "input.topic=vertical_laser_2d", "--overwrite"]
     outcome = runner().invoke(cli, words)
     assert outcome.exit_code == 4
     assert (

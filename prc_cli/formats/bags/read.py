@@ -213,7 +213,10 @@ class BagStream:
     def _look(self) -> int:
         """Return the length of the longest line in the first message of every topic."""
         widest = 0
-        why = ("no message with shots, expected scans", "name another topic: --topic NAME")
+        why = (
+            "no message with shots, expected scans",
+            "name another topic: --set input.topic=NAME",
+        )
         for topic in self.topics:
             if topic in self._firsts:
                 reader = self._reader(topic)
@@ -364,7 +367,7 @@ class _TopicReader:
             n = len(self._numbers)
             if name not in self._numbers and n == MAX_SCANNERS:
                 problem = f"more than {MAX_SCANNERS} topics and frames with scans, expected fewer"
-                raise InputError(name, problem, "name the topics: --topic NAME")
+                raise InputError(name, problem, "name the topics: --set input.topic=NAME")
             self.frames[frame] = gather(
                 self._where, self._numbers.setdefault(name, n), *first, self._config
             )
@@ -419,4 +422,4 @@ class _TopicReader:
         if self._other:
             problem = f"packets of an unknown scanner ({self._other}), expected {KNOWN} or Ouster"
             return problem, NEEDED
-        return "no message with shots, expected scans", "name another topic: --topic NAME"
+        return "no message with shots, expected scans", "name another topic: --set input.topic=NAME"

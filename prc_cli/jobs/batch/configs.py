@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from prc_cli.config import (
     LoadedConfig,
     RunConfig,
+    batch_params,
     from_folder,
     from_layers,
     preset_layer,
@@ -45,6 +46,8 @@ class BatchConfig:
         self._layers = layers
         self._where = str(layers.path)
         table = {} if layers.path is None else read_toml(layers.path)
+        self.batch, self._options = batch_params(table, layers.options, self._where)
+        """Values of the table ``[batch]``."""
         overrides = table.pop("override", [])
         self._preset = table.pop("preset", None)
         self._table = self._placed(table)
@@ -103,8 +106,8 @@ class BatchConfig:
                 layers.append((self._where, self._table))
                 files = (sources.path, *files)
             layers.extend((override.where, override.table) for override in overrides)
-            if sources.options:
-                layers.append(("option", sources.options))
+            if self._options:
+                layers.append(("option", self._options))
             self._built[matching] = from_layers(layers, files)
             refuse_window(self._built[matching].config, "prc batch")
         return self._built[matching]

@@ -483,7 +483,7 @@ class _ClusterRun:
         for key, job in late.items():
             del self._pending[key]
             name = job.task.name
-            hint = "check that its disk or share answers; --stall allows more"
+            hint = "check that its disk or share answers; --set batch.stall=SECONDS allows more"
             problem = Problem(
                 "timeout", name, f"no progress for {stall_s:g} s on {job.worker}, given up", hint
             )

@@ -90,7 +90,9 @@ class LocalEngine:
         """
         if settings.memory_limit_mib is not None and os.name != "posix":
             raise ConfigError(
-                "--memory-limit", "this system cannot limit the memory of a process", "leave it out"
+                "batch.memory_limit",
+                "this system cannot limit the memory of a process",
+                "leave it out",
             )
         pool = _Pool(settings)
         try:
@@ -223,7 +225,7 @@ class _Pool:
                     yield from self._abandon(worker, worker.kill_reason)
             elif worker.task is not None and now - worker.seen > stall_s:
                 problem = f"no progress for {stall_s:g} s, given up"
-                hint = "check that its disk or share answers; --stall allows more"
+                hint = "check that its disk or share answers; --set batch.stall=SECONDS allows more"
                 worker.kill(Problem("timeout", worker.task.name, problem, hint))
             elif not worker.ready and now - worker.seen > START_S:
                 worker.kill(Problem("timeout", "worker process", f"not ready after {START_S:g} s"))
@@ -244,5 +246,5 @@ def _death(worker: _Worker, task: Task | Comparison, end: str) -> Problem:
     if isinstance(task, Comparison):
         hint = f"look at it and at {task.reference}"
     elif worker.process.code == -getattr(signal, "SIGKILL", 9):
-        hint = "the system does this when memory is short: fewer --jobs, or --memory-limit"
+        hint = "the system does this when memory is short: fewer --jobs, or batch.memory_limit"
     return Problem("killed", task.name, f"its worker process {end}", hint)

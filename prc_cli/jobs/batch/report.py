@@ -24,7 +24,7 @@ SCHEMA = 1
 New keys do not change it. Keys are never renamed or removed.
 """
 Ended: TypeAlias = Literal["finished", "stopped", "interrupted"]
-"""How a run ended: complete, early because of ``--fail-fast``, or by a signal."""
+"""How a run ended: complete, early because of ``batch.fail_fast``, or by a signal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class BatchSummary:
     failed_before: tuple[Failed, ...] = ()
     """Files of the archive that failed in an earlier run and were not tried in this one."""
     n_waiting: int = 0
-    """Files that are due but not finished, because of ``--limit``, ``--fail-fast`` or a signal."""
+    """Files that are due but not finished, because of ``--limit``, a failure or a signal."""
     reasons: tuple[tuple[str, int], ...] = ()
     """Number of files by reason: ``new``, ``changed input``, ..."""
     alarms: tuple[Alarm, ...] = ()

@@ -213,7 +213,7 @@ class _BatchRun:
         return [(item, again[item.names]) for item in todo if item.names in again]
 
     def _is_tried_again(self, failed: Failed, attempt: int) -> bool:
-        # a file whose worker was killed gets a second attempt also without --retry: the worker may
+        # a file whose worker was killed gets a second attempt in any case: the worker may
         # have renamed its output just before it died, and the next one recognises it
         allowed = max(self._settings.retry, 1 if failed.problem.kind == "killed" else 0)
         return attempt < allowed and failed.problem.may_pass

@@ -180,7 +180,7 @@ def _problem_of(error: Exception, task: Task, before: InputPrint | None) -> Prob
     if isinstance(error, MemoryError) or (
         isinstance(error, RuntimeError) and "start new thread" in str(error)
     ):
-        hint = "fewer --jobs or threads, or a higher --memory-limit"
+        hint = "fewer --jobs or threads, or a higher batch.memory_limit"
         return Problem(MEMORY, task.name, f"out of memory ({problem.problem})", hint)
     if isinstance(error, OSError):
         problem = replace(

@@ -288,7 +288,7 @@ def _evaluate_all(
             f"none of {counts.n_matched} records has a class to score: "
             "code 0, or codes that the mapping ignores"
         )
-        hint = "name the dimension with the codes: --reference-dimension NAME"
+        hint = "name the dimension with the codes: --dimension reference=NAME"
         raise InputError(str(paths[1][0]), problem, hint)
     intervals, method = intervals_of(counts, matrix, options, by_lines=by_lines)
     reference_names = dict.fromkeys(file.codes.path for _, side in pools for file in side.files)
@@ -495,8 +495,6 @@ def _plan(
         columns[column] = None
         if column not in (*left_has, *right_has):
             raise _no_place(left, right, options.window)
-    if options.min_confidence is not None:
-        columns[CONFIDENCE] = None
     for name in columns:
         if name != CONFIDENCE and name not in (*left_has, *right_has) and name in asked:
             problem = f"no {SPLITS[name]} to split by in {left.path} or {right.path}"
@@ -505,7 +503,7 @@ def _plan(
     if CONFIDENCE in columns and CONFIDENCE not in left_has:
         problem = f"no confidence in {left.path}, expected a dimension or column of this name"
         hint = "classify again with --set output.confidence=true, to .las, .laz, .csv or .parquet"
-        raise ConfigError("--by confidence, --min-confidence", problem, hint)
+        raise ConfigError("--by confidence", problem, hint)
     shared = {RANGE}.intersection(left_has, right_has) if options.match == "cell" else set()
     predicted = [name for name in {**columns, **dict.fromkeys(shared)} if name in left_has]
     only_right = [name for name in columns if name not in left_has and name in right_has]

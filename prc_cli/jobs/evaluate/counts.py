@@ -226,21 +226,16 @@ class Counting:
         self._by_lines = by_lines
         self._parts = {name: GroupedCounts(counts.mapping, name) for name in counts.parts}
         self._window = None if options.window is None else ScoredWindow(options.window)
-        self._n_unsure = 0
         self._places: PlaceCollector | None = None
         if options.places:
             self._places = PlaceCollector(counts.mapping, counts.pair_file, in_space=plan.in_space)
 
     def add(self, pairs: Compared) -> None:
-        """Count pairs that are within the window and sure enough."""
+        """Count pairs that are within the window."""
         columns = pairs.reference | {name: pairs.predicted[name] for name in self._plan.predicted}
         keep = np.ones(len(pairs.rows), np.bool_)
         if self._window is not None:
             keep = self._window.keep(columns)
-        if self._options.min_confidence is not None:
-            sure = columns[CONFIDENCE] >= self._options.min_confidence
-            self._n_unsure += int(np.count_nonzero(keep & ~sure))
-            keep &= sure
         if not keep.all():
             pairs = pairs.kept(keep)
             columns = {name: values[keep] for name, values in columns.items()}
@@ -286,10 +281,6 @@ class Counting:
             self._counts.n_differ += n_differ
         if self._window is not None:
             self._counts.note(*self._window.outside(path))
-        least = self._options.min_confidence
-        self._counts.note(
-            f"{{n}} pairs have a confidence below {least} %: left out", self._n_unsure
-        )
 
 
 def scored_parts(

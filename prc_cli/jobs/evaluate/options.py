@@ -75,8 +75,6 @@ class EvaluateOptions:
     """Whether every scanner is a part."""
     split_confidence: tuple[int, ...] = ()
     """Edges of spans of confidence [per cent]; empty = not split."""
-    min_confidence: int | None = None
-    """Pairs with less confidence are left out [per cent]; None = all pairs are scored."""
     points_per_line: int | None = None
     """M, if the records are all shots of a stream: the line of record i is i // M."""
     intervals: bool = False
@@ -168,9 +166,6 @@ def _check_places(options: EvaluateOptions) -> None:
 
 
 def _check_confidence(options: EvaluateOptions) -> None:
-    least = options.min_confidence
-    if least is not None and not 0 <= least <= 100:
-        raise ConfigError("min_confidence", f"found {least}, expected per cent, 0 to 100")
     edges = options.split_confidence
     if any(low >= high for low, high in pairwise((-1, *edges, 101))):
         shown = ", ".join(map(str, edges))

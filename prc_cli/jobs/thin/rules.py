@@ -52,15 +52,14 @@ class ThinRule:
 def parse_rules(
     keep: Iterable[str] = (),
     spacing: Iterable[str] = (),
-    drop: Iterable[str] = (),
     codes: ClassCodes | None = None,
     *,
     keep_only: Iterable[str] = (),
 ) -> tuple[ThinRule, ...]:
     """Parse options into rules; noise is dropped unless a rule names it.
 
-    >>> [str(rule) for rule in parse_rules(["ground=1/4"], ["building=0.1"], ["car,noise"])]
-    ['ground=1/4', 'building=0.1 m', 'car=0', 'noise=0']
+    >>> [str(rule) for rule in parse_rules(["ground=1/4,car=0"], ["building=0.1"])]
+    ['ground=1/4', 'car=0', 'building=0.1 m', 'noise=0']
     >>> [str(rule) for rule in parse_rules(["ground=1/4"], keep_only=["ground,pole"])]
     ['ground=1/4', 'all but ground, pole=0']
     """
@@ -75,9 +74,6 @@ def parse_rules(
         rules.append(
             ThinRule(name, _codes(name, "--spacing", table), spacing_m=_metres(text, value))
         )
-    rules.extend(
-        ThinRule(name, _codes(name, "--drop", table), share=Fraction(0)) for name in _parts(drop)
-    )
     if only:
         rules.append(_all_but(only, rules, table))
     named = {code for rule in rules for code in rule.codes}

@@ -113,9 +113,9 @@ def refuse_poor_match(
     if counts.n_other_return > unmatched / 2:
         hint = f"{counts.n_other_return:,} points have a label of their time but another "
         if "return_number" in sides.rule.same:
-            hint += "return number: --ignore-return"
+            hint += f"return number: --match {options.match}+no-return"
         else:
-            hint += "value of --same"
+            hint += f"value of {' or '.join(options.same)}"
     elif (
         options.match == "time"
         and near is not None
@@ -151,7 +151,7 @@ def _refuse_guesses(counts: TransferCounts, sides: TransferSides, options: Trans
     )
     hint = (
         "match by one more value that both sides have, "
-        "e.g. --same intensity or --same scanner_channel"
+        f"e.g. --match {options.match}+intensity or --match {options.match}+scanner_channel"
     )
     raise InputError(sides.points.path, problem, hint)
 

@@ -87,7 +87,8 @@ class TransferOptions:
             )
         if len(self.same) >= MAX_SAME:
             raise ConfigError(
-                "--same", f"found {len(self.same)} dimensions, expected at most {MAX_SAME - 1}"
+                "--match",
+                f"found {len(self.same)} more dimensions, expected at most {MAX_SAME - 1}",
             )
         for name in self.carry:
             if name not in CARRIED:
