@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 _SEARCH = "leave it out: the parameters follow from the measured scanner"
-_PAGE = "prc render IN --html PAGE.html, which turns the points"
+_PAGE = "prc render IN PAGE.html, which turns the points"
 
 GONE = {
     "--adopt": "--overwrite, or another folder",
@@ -74,9 +74,16 @@ GONE_OF = {
     "prc render --shots": "--only A:B, which shows a part in full",
     "prc evaluate --interval-lines": "leave it out: a block has 99 lines",
     "prc render --block": "--only A:B, the lines to draw",
+    "prc render --colour": "prc render IN PAGE.html, which has other colours",
+    "prc render --figure1": "--steps figure1",
     "prc render --from": _PAGE,
     "prc render --height": _PAGE,
+    "prc render --hide": "prc render IN PAGE.html, which hides classes",
+    "prc render --html": "prc render IN PAGE.html",
     "prc render --pages": _PAGE,
+    "prc render --reference-dimension": "prc evaluate -o PAGE.html, which draws differences",
+    "prc render --view": "--steps top",
+    "prc render --width": "leave it out: a picture has up to 2200 pixels in a line",
     "prc stream --report": "leave it out: prc reports every ten seconds",
     "prc thin --drop": "--keep CLASS=0",
     "prc transfer --same": "--match time+NAME",

@@ -8,51 +8,40 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import MAPPING, QUIET, Sectioned, Word, config_from, stream_options
+from prc_cli.cli.options import MAPPING, QUIET, Sectioned, config_from, stream_options
 from prc_cli.cli.output import print_json, print_line
 from prc_cli.cli.paths import READ, WRITTEN, ScanPath, in_folder
 from prc_cli.cli.report import line_progress
 from prc_cli.core.errors import ConfigError
-from prc_cli.jobs.render import COLOURS, VIEWS, RenderOptions
+from prc_cli.jobs.render import RenderOptions
 from prc_cli.jobs.render import render as render_file
 
 
 @click.command(
     cls=Sectioned,
     brief=(
-        "--html",
         "--steps",
         "--only",
         "--labels",
         "--reference",
-        "--view",
-        "--colour",
+        "--mapping",
+        "--station",
         "--preset",
         "--config",
         "--overwrite",
     ),
 )
 @click.argument("source", metavar="IN", type=ScanPath())
-@click.argument("output", metavar="[OUT]", type=WRITTEN, required=False)
-@click.option(
-    "--html",
-    type=WRITTEN,
-    metavar="FILE.html",
-    help="Instead of OUT: a page with the cloud and the range image, to turn, zoom and click.",
-)
+@click.argument("output", metavar="OUT", type=WRITTEN)
 @click.option(
     "--steps",
     metavar="A,B,...",
-    help="Pictures to draw, e.g. range,support,classes. Default: prc chooses.",
+    help="Pictures to draw, e.g. range,support,classes. figure1: the steps of one block as in "
+    "Lehtola et al. (2019), Fig. 1. top: the points from above. Default: prc chooses.",
 )
 # no part of the stream, as in other commands: the stream is read whole
 @click.option(
     "--only", "drawn_lines", metavar="A:B", help="Draw only lines A to B - 1, counted from 0."
-)
-@click.option(
-    "--figure1",
-    is_flag=True,
-    help="Draw the steps of one block as in Lehtola et al. (2019), Fig. 1.",
 )
 @click.option(
     "--station",
@@ -67,39 +56,21 @@ from prc_cli.jobs.render import render as render_file
 @click.option(
     "--reference", type=READ, metavar="FILE", help="Draw the differences to these classes."
 )
-@click.option("--reference-dimension", metavar="NAME", help="Column or dimension of --reference.")
 @MAPPING
-@click.option(
-    "--view",
-    type=Word(VIEWS),
-    default="scan",
-    show_default=True,
-    help="Draw lines and columns, or the points from above.",
-)
-@click.option("--hide", metavar="CLASS,...", help="Do not draw these classes, e.g. noise.")
-@click.option("--colour", type=Word(COLOURS), help="Colours of the points.")
-@click.option(
-    "--width",
-    type=click.IntRange(200, 20_000),
-    default=2200,
-    show_default=True,
-    help="Largest width of a picture [pixels].",
-)
 @stream_options
 @click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was drawn as JSON on stdout.")
 @QUIET
 def render(
     source: Path,
-    output: Path | None,
+    output: Path,
     *,
-    html: Path | None,
     overwrite: bool,
     as_json: bool,
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Draw IN into OUT.png, or into a page to turn, zoom and click (--html).
+    """Draw IN into OUT.png, or into OUT.html, a page to turn, zoom and click.
 
     prc draws ranges, the steps of PRC, classes and differences to a reference, or the points from
     above.
@@ -107,33 +78,26 @@ def render(
     \b
     Examples:
       prc render drive.laz drive.png
-      prc render out.laz --html out.html
-      prc render drive.laz figure1.png --preset prc-2019-urban --figure1
+      prc render out.laz out.html
+      prc render drive.laz figure1.png --preset prc-2019-urban --steps figure1
       prc render drive.laz differences.png --labels out.laz --reference car.laz \\
         --steps classes,reference,difference
-      prc render out.laz cloud.png --view top
+      prc render out.laz cloud.png --steps top
     """
     chosen = _render_options(options)
-    if (output is None) == (html is None):
-        problem = "there is no output" if html is None else "prc draws either OUT or --html"
-        raise ConfigError(
-            "OUT" if html is None else "--html",
-            problem,
-            "give OUT.png or --html PAGE.html",
-        )
     loaded = config_from(options)
     with line_progress(source.name, quiet=quiet) as progress:
-        if output is not None:
-            output = in_folder(output, f"{source.stem}.png")
-            result = render_file(
-                source, output, loaded, chosen, overwrite=overwrite, progress=progress
-            )
-        elif html is not None:
+        if output.suffix.lower() in PAGES:
             # loaded where it is needed, which keeps the start of pictures short
             from prc_cli.jobs.render.viewer import render_viewer
 
             result = render_viewer(
-                source, html, loaded, chosen, overwrite=overwrite, progress=progress
+                source, output, loaded, chosen, overwrite=overwrite, progress=progress
+            )
+        else:
+            output = in_folder(output, f"{source.stem}.png")
+            result = render_file(
+                source, output, loaded, chosen, overwrite=overwrite, progress=progress
             )
     if as_json:
         print_json({**asdict(result), "files": [str(path) for path in result.files]})
@@ -145,27 +109,31 @@ def render(
             print_line(f"{path} ({path.stat().st_size:,} bytes)")
 
 
+PAGES = (".html", ".htm")
+"""Suffixes of a page."""
+_FIGURE_1 = "figure1"
+_TOP = "top"
 _AS_GIVEN = (
-    "view",
-    "figure1",
     "station",
     "labels",
     "labels_dimension",
     "reference",
-    "reference_dimension",
     "mapping",
-    "colour",
-    "width",
 )
 """Options of the command that :class:`RenderOptions` has under the same name."""
 
 
 def _render_options(options: dict[str, Any]) -> RenderOptions:
-    steps = options["steps"]
+    steps = None if options["steps"] is None else _names(options["steps"])
     lines = options["drawn_lines"]
+    alone = set(steps or ()) & {_FIGURE_1, _TOP}
+    if alone and len(steps or ()) > 1:
+        problem = f"found {options['steps']!r}, expected {alone.pop()} by itself"
+        raise ConfigError("--steps", problem, "draw two pictures")
     return RenderOptions(
-        steps=None if steps is None else _names(steps),
-        hide=_names(options["hide"] or ""),
+        steps=None if alone else steps,
+        figure1=_FIGURE_1 in alone,
+        view="top" if _TOP in alone else "scan",
         lines=None if lines is None else _span(lines),
         **{name: options[name] for name in _AS_GIVEN},
     )

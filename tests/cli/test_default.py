@@ -99,7 +99,7 @@ def test_what_is_asked_for_may_leave_one_method(prc: Prc, scans: Path) -> None:
         )
         assert result.code == 0, result.err
         assert json.loads(result.out)["config"]["method"] == "prc"
-    result = prc("render", scans / "street.npz", scans / "o.png", "--figure1", *down)
+    result = prc("render", scans / "street.npz", scans / "o.png", "--steps", "figure1", *down)
     assert result.code == 0, result.err
     result = prc("render", scans / "street.npz", scans / "p.png", *down)
     assert (result.code, "fused" in result.err) == (0, True), result.err

@@ -33,8 +33,6 @@ NO_PATHS = {
     "--scanner",
     "--only",
     "--steps",
-    "--reference-dimension",
-    "--hide",
     "--at",
     "--match",
     "--height",

@@ -18,7 +18,7 @@ def drive(tmp_path: Path) -> Path:
 
 
 def test_a_page_to_look_into(prc: Prc, drive: Path, tmp_path: Path) -> None:
-    result = prc("render", drive, "--html", tmp_path / "a.html", "--hide", "noise", "--json")
+    result = prc("render", drive, tmp_path / "a.html", "--json")
     assert result.code == 0, result.err
     record = json.loads(result.out)
     assert record["files"] == [str(tmp_path / "a.html")]
@@ -49,18 +49,13 @@ def test_refusals_are_one_line_each(prc: Prc, drive: Path, tmp_path: Path) -> No
         (["--only", "500:600"], 2, ["found 500:600, expected A:B within 0:137"]),
         (["--labels", tmp_path / "short.npy"], 1, ["found 100 labels, expected 24,660"]),
         (["--labels", tmp_path / "none.npy"], 1, ["none.npy: no such file"]),
-        (["--view", "top"], 1, ["no coordinates for a cloud"]),
-        (["--view", "top", "--figure1"], 2, ["--figure1: belongs to the scan view"]),
-        (["--figure1", "--method", "sequential-angle"], 2, ["--figure1: belongs to prc"]),
+        (["--steps", "top"], 1, ["no coordinates for a cloud"]),
+        (["--steps", "top", "--only", "0:9"], 2, ["--only: belongs to lines and columns"]),
+        (["--steps", "top,classes"], 2, ["--steps: found 'top,classes', expected top by itself"]),
         (
-            ["--html", tmp_path / "b.html"],
+            ["--steps", "figure1", "--method", "sequential-angle"],
             2,
-            ["--html: prc draws either OUT or --html"],
-        ),
-        (
-            ["--hide", "rain"],
-            2,
-            ["--hide: found 'rain', expected classes: unclassified, noise, ground"],
+            ["--steps figure1: belongs to prc"],
         ),
         (
             ["--mapping", "nothing"],
@@ -73,15 +68,12 @@ def test_refusals_are_one_line_each(prc: Prc, drive: Path, tmp_path: Path) -> No
     refused(
         prc("render", drive, tmp_path / "a.jpg"),
         2,
-        "expected .png; for a page to look around in: --html PAGE.html",
+        "expected .png; for a page to look around in: OUT.html",
     )
     refused(prc("render", drive, drive), 2, "the output is the input itself")
-    refused(
-        prc("render", drive),
-        2,
-        "OUT: there is no output; give OUT.png or --html PAGE.html",
-    )
-    refused(prc("render", drive, "--html", tmp_path / "b.png"), 2, "expected .html")
+    refused(prc("render", drive), 2, "prc render needs IN OUT")
+    page = tmp_path / "b.html"
+    refused(prc("render", drive, page, "--steps", "classes"), 2, "found a page to write")
     out.write_bytes(b"old")
     refused(prc("render", drive, out), 2, "exists already", "--overwrite")
     assert prc("render", drive, out, "--overwrite").code == 0

@@ -28,7 +28,6 @@ INPUTS = {
 }
 """Seeds of archive files, by target."""
 
-_SMALL = ("--width", "300")
 _P = ("--preset", "prc-2019-urban", "--trust-order")
 LABELLED = ("classify", "{case}", "{out}/o.npy", *BLOCKS)
 """The command whose labels are compared with those of other ways."""
@@ -126,8 +125,8 @@ READ: tuple[tuple[str, ...], ...] = (
     ("evaluate", "{case}", "{case}", "--match", "time", "--tolerance", "0.1", "--by", "range:5,10"),
     ("evaluate", "{case}", "{case}", "-M", "24", "--by", "lines:4", "--intervals"),
     ("thin", "{case}", "{out}/o.npz", "--keep", "ground=1/4", *_P),
-    ("render", "{case}", "{out}/o.png", *_P, *_SMALL),
-    ("render", "{case}", "{out}/o.png", *_P, *_SMALL, "--view", "top", "--range", "sensor-xyz"),
+    ("render", "{case}", "{out}/o.png", *_P),
+    ("render", "{case}", "{out}/o.png", *_P, "--steps", "top", "--range", "sensor-xyz"),
     ("calibrate", "{case}", "-o", "{out}/o.toml", "--trust-order", "--preset", "prc-2019-urban"),
 )
 
@@ -149,7 +148,7 @@ LABELS = (
     ("evaluate", "{case}", "{seeds}/a.csv", "-o", "{out}/o.md"),
     ("evaluate", "{case}", "{seeds}/a.csv", "--match", "dimension:record"),
     ("transfer", "{case}", "{seeds}/pf6.las", "{out}/o.las", "--points", "{seeds}/a.csv"),
-    ("render", "{seeds}/a.csv", "{out}/o.png", "--labels", "{case}", *_SMALL),
+    ("render", "{seeds}/a.csv", "{out}/o.png", "--labels", "{case}"),
     ("thin", "{seeds}/a.csv", "{out}/o.npz", "--labels", "{case}", "--keep", "ground=1/4"),
 )
 
@@ -169,7 +168,7 @@ RECORDED = (
     ("classify", "{case}", "{out}/o.csv", "--method", "sequential-angle", "--trust-order"),
     ("convert", "{case}", "{out}/o.npz", "--trust-order"),
     ("convert", "{case}", "{out}/o.las", "--trust-order"),
-    ("render", "{case}", "{out}/o.png", *_P, *_SMALL),
+    ("render", "{case}", "{out}/o.png", *_P),
 )
 """Commands for bags and captures, which hold their lines and columns."""
 _META = ("--set", "input.metadata={seeds}/ouster.json")
@@ -219,7 +218,7 @@ TARGETS: dict[str, Target] = {
         (
             ("evaluate", "{case}", "{case}"),
             ("evaluate", "{case}", "{case}", "--json"),
-            ("render", "{seeds}/a.npy", "{out}/o.png", "--labels", "{case}", *_SMALL),
+            ("render", "{seeds}/a.npy", "{out}/o.png", "--labels", "{case}"),
         ),
         inside="labelled/a.npy",
     ),

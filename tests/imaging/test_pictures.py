@@ -1,6 +1,6 @@
 """Pixels, colours, scales and sheets.
 
-Points in perspective and from above; the page of ``prc render --html``.
+Points in perspective and from above; the page of ``prc render IN OUT.html``.
 """
 
 from __future__ import annotations

@@ -70,7 +70,7 @@ def render(
     chosen = RenderOptions() if options is None else options
     if output.suffix.lower() != SUFFIX:
         problem = f"found the suffix {output.suffix!r}, expected {SUFFIX}"
-        raise ConfigError(str(output), problem, "for a page to look around in: --html PAGE.html")
+        raise ConfigError(str(output), problem, "for a page to look around in: OUT.html")
     inputs = config.inputs(scan.path, chosen.labels, chosen.reference)
     prepare_outputs(output, overwrite=overwrite, inputs=inputs)
     scan.check()

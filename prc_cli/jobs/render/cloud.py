@@ -42,7 +42,7 @@ NO_CLASSES = (0, 1)
 POINTS_AT_ONCE = 1 << 20
 MOST_HEIGHT = 1.5
 """Largest height of a picture, relative to its largest width."""
-_HINT = "draw the scan (leave --view out), or give a file that has x, y, z"
+_HINT = "draw the scan (leave --steps top out), or give a file that has x, y, z"
 _VALUES = ("range", "intensity", "confidence")
 """Values that colour points, if the input has them."""
 _LABELS = "labels.npy"
@@ -191,7 +191,7 @@ def draw_cloud(
     if not np.ptp(kept[:, 2]):
         notes.append(
             "all points have one height, as in the scan plane: "
-            "--html draws lines one behind the other"
+            "a page, OUT.html, draws lines one behind the other"
         )
     if n_without:
         notes.append(
@@ -217,12 +217,11 @@ def _check_options(options: RenderOptions) -> None:
     for name, value in (
         ("--steps", options.steps),
         ("--only", options.lines),
-        ("--figure1", options.figure1 or None),
     ):
         if value is not None:
             raise ConfigError(
                 name,
-                f"belongs to the scan view, found --view {options.view}",
+                "belongs to lines and columns, found --steps top",
                 "leave one of them out",
             )
     if options.labels is not None and options.reference is not None:
@@ -305,7 +304,7 @@ def _limits(colour: ColourBy, sample: F64, scan: Input) -> Limits:
     values = sample[:, 2 if colour == "height" else 3 + _VALUES.index(colour)]
     if not np.isfinite(values).any():
         problem = f"the points have no {colour} to be coloured by"
-        raise InputError(str(scan), problem, "choose another --colour: class, height")
+        raise InputError(str(scan), problem, "choose another colour: class, height")
     return SCALES[colour].limits(values)
 
 

@@ -263,7 +263,7 @@ def vocabulary(options: RenderOptions, codes: ClassCodes) -> Vocabulary:
     for name in options.hide:
         if name not in table.names[1:]:
             raise ConfigError(
-                "--hide", f"found {name!r}, expected classes: {', '.join(table.names[1:])}"
+                "hide", f"found {name!r}, expected classes: {', '.join(table.names[1:])}"
             )
     return Vocabulary(table.without(options.hide), mapping, codes)
 

@@ -317,11 +317,11 @@ def draw_scan(
 def _check_part(method: str, options: RenderOptions) -> None:
     if options.figure1 and method != "prc":
         raise ConfigError(
-            "--figure1", f"belongs to prc, found the method {method}", "add --method prc"
+            "--steps figure1", f"belongs to prc, found the method {method}", "add --method prc"
         )
     if options.figure1 and options.labels is not None:
         problem = "the figure shows the steps of prc, which a label file does not hold"
-        raise ConfigError("--figure1", problem, "leave --labels out")
+        raise ConfigError("--steps figure1", problem, "leave --labels out")
 
 
 def choose_part(options: RenderOptions, loaded: LoadedConfig, stream: ScanStream) -> Part:

@@ -1,4 +1,4 @@
-"""``prc render --html``: a page with the cloud and the range image of a scan."""
+"""``prc render IN OUT.html``: a page with the cloud and the range image of a scan."""
 
 from __future__ import annotations
 
@@ -207,13 +207,14 @@ def _check(output: Path, options: RenderOptions) -> None:
         )
     for name, value in (
         ("--steps", options.steps),
-        ("--figure1", options.figure1 or None),
+        ("--steps figure1", options.figure1 or None),
         ("--reference", options.reference),
-        ("--colour", options.colour),
-        ("--view", None if options.view == "scan" else options.view),
+        ("--steps top", None if options.view == "scan" else options.view),
     ):
         if value is not None:
-            raise ConfigError(name, "belongs to pictures, found --html", "leave one of them out")
+            raise ConfigError(
+                name, "belongs to pictures, found a page to write", "leave one of them out"
+            )
 
 
 def existing_classes(
