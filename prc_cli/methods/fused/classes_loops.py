@@ -774,7 +774,9 @@ def _look_beside(shots: I32, walls: Walls, cars: CarTops, beside: Beside) -> Non
 def _count_bins(levels: U8, counts: U8) -> None:
     """Count the bins with a level surface around every bin of a line."""
     n = len(levels)
-    counts[:] = levels
+    # element by element, because array copies take seconds to compile
+    for q in range(n):
+        counts[q] = levels[q]
     for away in range(1, CAR_REACH + 1):
         for q in range(n - away):
             counts[q] += levels[q + away]

@@ -147,7 +147,8 @@ def find_flanks(
         chords = upright[k]
         bins_of_line = bins[k % room]
         depths_of_line = depths[k % room]
-        bins_of_line[:] = 0
+        for b in range(len(bins_of_line)):
+            bins_of_line[b] = np.int32(0)
         for i in range(len(ranges)):
             if (abs(above[i]) < thresholds.soil_m) & (chords[i] <= 1):
                 y = ranges[i] * beams.sine[i]

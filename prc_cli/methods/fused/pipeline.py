@@ -820,7 +820,7 @@ def _decide(
     rules = decide(
         stream.wide_m, neighbours, ground, texture, evidence.strips, plane, limits.decision
     )
-    decided = LABELS_BY_REASON[rules]
+    decided = np.take(LABELS_BY_REASON, rules)
     voted = vote(decided, range_m[WIDE_LINES:-WIDE_LINES], plane, limits.votes)
     late = find_late_leaves(decided, voted, range_m, ground.above_m, limits.late_leaves)
     inner = slice(INNER_LINES + 1, -INNER_LINES - 1)

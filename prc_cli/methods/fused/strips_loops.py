@@ -335,11 +335,13 @@ def find_columns(
     for k in range(len(window_m) - 3, margin - 1, -1):
         _count_lines_of_objects(window_m[k], window_m[k + 1], window_m[k + 2], jump, far, lines)
         if k < margin + n_lines:
-            after[k - margin] = lines
+            for i in range(m):
+                after[k - margin, i] = lines[i]
     kinds = np.zeros((n_lines, m), np.uint8)
     marks = np.empty(m, np.uint8)
     side = np.empty(m, np.float32)
-    lines[:] = NO_END
+    for i in range(m):
+        lines[i] = NO_END
     for k in range(2, margin + n_lines):
         _count_lines_of_objects(window_m[k], window_m[k - 1], window_m[k - 2], jump, far, lines)
         if k < margin:
@@ -563,7 +565,8 @@ def _mark_levels(
                 last = max(last, side[j])
         low = max(int(_bin(first, STRIP_M / np.float32(2.0))) + STRIPS, 0)
         high = min(int(_bin(last, STRIP_M / np.float32(2.0))) + STRIPS, 2 * STRIPS - 1)
-        levels[low : high + 1] = 1
+        for q in range(low, high + 1):
+            levels[q] = np.uint8(1)
 
 
 @loop()
@@ -608,7 +611,8 @@ def fill_strips(
             every[k, b] = rough[k, b] = np.uint64(0)
             length[k, b] = wall[k, b] = place[k, b] = np.float32(0.0)
             top[k, b] = NO_TOP
-        levels[k] = np.uint8(0)
+        for q in range(2 * STRIPS):
+            levels[k, q] = np.uint8(0)
         ranges = range_m[k]
         above = above_m[k]
         for i in range(m):
@@ -789,7 +793,8 @@ def find_walls(sums: StripSums, flanks: U8_2, thresholds: WallThresholds) -> Wal
         for b in range(STRIPS):
             top_m[b] = max(max(lines[b], lines[b + 1]), lines[b + 2])
         # how many of five lines have something in a strip or beside it
-        n_filled[:] = 0
+        for b in range(STRIPS):
+            n_filled[b] = np.uint8(0)
         is_filled[0] = is_filled[STRIPS + 1] = 0
         for k in range(line, line + 2 * LINES + 1):
             for b in range(STRIPS):

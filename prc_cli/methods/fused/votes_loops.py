@@ -191,7 +191,8 @@ def vote_labels(
             continue
         middle = labels[line - 1]
         row = voted[line - 2]
-        row[:] = middle
+        for i in range(m):
+            row[i] = middle[i]
         _mark_unsettled(labels[line - 2], middle, labels[line], unsettled)
         a = (line - 2) % 3
         b = (line - 1) % 3
