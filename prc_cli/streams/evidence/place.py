@@ -2,7 +2,7 @@
 
 A road is smooth, and most objects beside it are, too. The floor of a forest is rough, and most
 objects on it are leaves. A shot is smooth if it is near the line between two shots a little before
-and after it in its scan line.
+and after it in its scan line. Facades also go on from line to line, stems do not.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from typing import Literal
 import numpy as np
 
 from prc_cli.core.stream import ScanBlock
-from prc_cli.core.types import F32, F64
+from prc_cli.core.types import F32, F64, Mask
 
 SAMPLE_LINES = 64
 MOST_LINES = 256
-"""Lines with returns that are used at first, and if these are not clear."""
+"""Lines with returns that show a clear forest, and for all else: a stem fills the first few."""
 MAX_CELLS = 1 << 22
 """Most cells that are read to find these lines."""
 REACH_RAD = math.radians(0.6)
@@ -57,6 +57,19 @@ BUILT_SHARE = 0.42
 
 With less, a place with a smooth floor may be a park, or a forest on level ground. Of 48 simulated
 streets one has less in 256 lines. Forests have 0.05 to 0.41, a park 0.2.
+"""
+LASTING_LINES = 16
+LASTING_M = 0.1
+LASTING_PER_M = 0.02
+"""A smooth object lasts if its column has this range, nearly, so many lines later.
+
+A facade does. A bare stem is as smooth within a line, but narrow.
+"""
+LASTING_SHARE = 0.14
+"""Least lasting share of objects above in a street, and most in a forest.
+
+Chosen on 5 simulated streets, with 22 to 41 %, and 4 forests with a smooth or rough floor, with 1
+to 7 %.
 """
 
 
@@ -108,20 +121,37 @@ def place_of(range_m: F32, beam_rad: F64) -> Place:
         return Place(kind, f"{reason}, and no object is above the scanner", bool(doubt), doubt)
     standing = int(np.count_nonzero(high & smooth)) / n_high
     reason += f", and {100 * standing:.0f} % of the objects above the scanner"
+    lasting = _lasting_share(middle_m, high, high & smooth)
     score = floor + standing / 3
-    kind = "street" if standing >= BUILT_SHARE else "unknown"
-    if score < FOREST_SCORE:
-        kind = "forest"
+    kind = "forest" if score < FOREST_SCORE else "street"
     off = abs(score - FOREST_SCORE)
     doubt = ""
+    if kind == "street" and standing < BUILT_SHARE:
+        kind = "unknown"
+        doubt = f"forests have less smooth ground, streets more smooth objects ({BUILT_SHARE:.0%})"
+    elif lasting is not None and (lasting >= LASTING_SHARE) != (kind == "street"):
+        doubt = (
+            f"{lasting:.0%} of the objects are smooth and go on for {LASTING_LINES} lines; streets "
+            f"have more than {LASTING_SHARE:.0%}, forests less"
+        )
+        kind = "unknown" if kind == "street" else "forest"
     if off < CLOSE_SCORE:
         doubt = (
             f"the first plus a third of the second is {score:.2f}, "
             f"near the limit of forests ({FOREST_SCORE:.2f})"
         )
-    elif kind == "unknown":
-        doubt = f"forests have less smooth ground, streets more smooth objects ({BUILT_SHARE:.0%})"
-    return Place(kind, reason, off < OPEN_SCORE or kind == "unknown", doubt)
+    return Place(kind, reason, kind != "forest" or off < OPEN_SCORE or bool(doubt), doubt)
+
+
+def _lasting_share(middle_m: F64, high: Mask, smooth: Mask) -> float | None:
+    """Return the share of the objects above that are smooth and go on; None: too few lines."""
+    now_m = middle_m[:-LASTING_LINES]
+    n_high = int(np.count_nonzero(high[:-LASTING_LINES]))
+    if not n_high:
+        return None
+    apart_m = np.abs(middle_m[LASTING_LINES:] - now_m)
+    lasts = smooth[:-LASTING_LINES] & (apart_m < LASTING_M + LASTING_PER_M * now_m)
+    return int(np.count_nonzero(lasts)) / n_high
 
 
 def _smooth(

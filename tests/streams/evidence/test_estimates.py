@@ -339,6 +339,18 @@ def test_a_forest_on_a_level_floor_is_a_doubt() -> None:
     )
 
 
+def test_bare_stems_on_a_level_floor_are_a_doubt() -> None:
+    """They are as smooth as facades within a line, but narrow."""
+    park = street_lines(MOST_LINES)[0]
+    level = np.cos(BEAM) >= 0.2
+    stem = np.where(np.arange(MOST_LINES) % 40 < 10, 5.0, np.nan)[:, None]
+    park[:, level] = (1.8 / np.cos(BEAM[level])).astype(np.float32)
+    park[:, ~level] = (stem / np.abs(np.sin(BEAM[~level]))).astype(np.float32)
+    place = place_of(park, BEAM)
+    assert place.kind == "unknown"
+    assert "go on for 16 lines" in place.doubt
+
+
 def test_clear_places_are_no_doubt() -> None:
     for lines in (street_lines(MOST_LINES)[0], forest_lines(MOST_LINES)):
         assert not choice_by_beams(*_first_and_all(lines)).findings
@@ -361,7 +373,7 @@ def test_the_answer_depends_on_the_lines_alone(cut: int) -> None:
             parts.append(ScanBlock(start, forest, scanner=1, beam_rad=BEAM))
         return parts
 
-    assert place_of_blocks(iter(blocks())) == place_of(lines[5 : 5 + SAMPLE_LINES], BEAM)
+    assert place_of_blocks(iter(blocks())) == place_of(lines[5:], BEAM)
 
 
 @pytest.mark.parametrize("cut", [1, 64, 100, 400])
