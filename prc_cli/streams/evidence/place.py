@@ -122,14 +122,15 @@ def place_of(range_m: F32, beam_rad: F64) -> Place:
     standing = int(np.count_nonzero(high & smooth)) / n_high
     reason += f", and {100 * standing:.0f} % of the objects above the scanner"
     lasting = _lasting_share(middle_m, high, high & smooth)
+    is_built = standing >= BUILT_SHARE if lasting is None else lasting >= LASTING_SHARE
     score = floor + standing / 3
     kind = "forest" if score < FOREST_SCORE else "street"
     off = abs(score - FOREST_SCORE)
     doubt = ""
-    if kind == "street" and standing < BUILT_SHARE:
+    if kind == "street" and standing < BUILT_SHARE and not is_built:
         kind = "unknown"
         doubt = f"forests have less smooth ground, streets more smooth objects ({BUILT_SHARE:.0%})"
-    elif lasting is not None and (lasting >= LASTING_SHARE) != (kind == "street"):
+    elif lasting is not None and is_built != (kind == "street"):
         doubt = (
             f"{lasting:.0%} of the objects are smooth and go on for {LASTING_LINES} lines; streets "
             f"have more than {LASTING_SHARE:.0%}, forests less"
