@@ -42,8 +42,9 @@ def no_thread_left() -> Iterator[None]:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_thread_left")
-@pytest.mark.parametrize("suffix", [".npy", ".csv", ".parquet", ".las", ".laz"])
-@pytest.mark.parametrize("kind", [".bin", ".csv", ".npz"])
+@pytest.mark.parametrize(
+    ("kind", "suffix"), [(".bin", ".npy"), (".csv", ".csv"), (".npz", ".parquet"), (".csv", ".laz")]
+)
 def test_bytes_are_equal_with_any_number_of_threads(
     tmp_path: Path,
     image: np.ndarray,

@@ -36,13 +36,13 @@ URBAN = ("--preset", "prc-2019-urban", "-q", "--overwrite")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["d.npz", "d.laz", "d.csv", "d.ply"])
 @pytest.mark.parametrize(
-    ("window", "key"),
+    ("name", "window", "key"),
     [
-        ("13:41", "only_lines"),
-        ("1001.3:1004.1", "only_time"),
-        ("+1.28:+4.08", "only_time"),
+        ("d.npz", "13:41", "only_lines"),
+        ("d.laz", "1001.3:1004.1", "only_time"),
+        ("d.csv", "+1.28:+4.08", "only_time"),
+        ("d.ply", "13:41", "only_lines"),
     ],
 )
 def test_a_window_is_a_drive_of_its_own(

@@ -212,39 +212,6 @@ def test_scanners_missing_lines_and_further_returns(tmp_path: Path, suffix: str)
     assert is_reported == (suffix == ".laz")
 
 
-@pytest.mark.slow
-@pytest.mark.data
-@pytest.mark.parametrize(
-    ("name", "inputs"),
-    [
-        ("organised/pumpA.e57", {}),
-        ("oakland/oakland_1.csv.gz", {}),
-        ("forest/tls_park.npz", {}),
-    ],
-)
-@pytest.mark.parametrize("suffix", [".csv", ".npz", ".bin", ".laz"])
-def test_real_scans_give_the_same_ranges_back(
-    real_data: Path,
-    tmp_path: Path,
-    name: str,
-    inputs: dict[str, Any],
-    suffix: str,
-) -> None:
-    if name.endswith(".e57"):
-        pytest.importorskip("pye57")
-    out = tmp_path / f"out{suffix}"
-    convert(real_data / name, out, config(**inputs))
-    before = list(scans(real_data / name, config(**inputs)).values())
-    after = list(scans(out, config(out)).values())
-    assert len(before) == len(after)
-    for left, right in zip(before, after, strict=True):
-        n, m = right.range_m.shape
-        if suffix == ".laz":  # lines behind the last return have no record
-            assert np.isnan(left.range_m[n:]).all()
-            left = join([left]) if n == left.n_lines else left
-        assert same_bits(np.ascontiguousarray(left.range_m[:n, :m]), right.range_m)
-
-
 def _several(tmp_path: Path) -> tuple[Path, LoadedConfig]:
     return two_scanners(tmp_path / "two.las"), config(scanner="point_source_id")
 

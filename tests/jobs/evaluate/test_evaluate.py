@@ -482,8 +482,9 @@ def test_two_scans_are_not_matched_by_cell(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("other", [".laz", ".ply"])
-@pytest.mark.parametrize("labels", [".npy", ".csv", "grid.csv"])
+@pytest.mark.parametrize(
+    ("labels", "other"), [(".npy", ".laz"), (".csv", ".ply"), ("grid.csv", ".laz")]
+)
 def test_files_of_one_drive_are_matched_by_cell_where_their_numbers_differ(
     tmp_path: Path, labels: str, other: str
 ) -> None:
