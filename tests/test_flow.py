@@ -158,6 +158,8 @@ def test_a_full_disk_is_told_in_one_line(tmp_path: Path, image: np.ndarray, suff
         "-M",
         str(POINTS_PER_LINE),
         "-q",
+        "--preset",
+        "prc-2019-urban",
     ]
     run = patience.run(
         [*command, "--threads", "2"], capture_output=True, text=True, preexec_fn=limit
@@ -185,6 +187,8 @@ def test_ctrl_c_in_mid_run_ends_it_within_seconds(tmp_path: Path, threads: str) 
         "-M",
         "2000",
         "-q",
+        "--preset",
+        "prc-2019-urban",
     ]
     with patience.start([*command, "--threads", threads], stderr=subprocess.PIPE, text=True) as run:
         # the run is in its midst when labels are there
