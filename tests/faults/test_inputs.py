@@ -9,6 +9,7 @@ import contextlib
 import os
 import random
 import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,14 +24,19 @@ from tests.faults.harness import (
     Batch,
     check_nothing_half,
     check_whole,
+    entries,
     hooked,
+    part_of,
     parts,
     tree,
 )
+from tests.faults.test_kills import release, run_into
+from tests.messages import folded
 from tests.patience import dead_process
 
 pytestmark = pytest.mark.slow
 
+LONG = "2026/day 3/long.laz"
 FIRST = "2026/day 1/drive.npz"
 LAST = "rückweg.las"
 """The files are begun in the order of their names."""
@@ -44,6 +50,28 @@ def resume(archive: Archive, out: Path) -> None:
     code, said = Batch(archive.folder, out, archive.config).end()
     assert code == 0, said
     check_whole(archive, out)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("fate", ["vanishes", "becomes a pipe"])
+def test_an_input_that_is_gone_when_its_turn_comes(few: Archive, tmp_path: Path, fate: str) -> None:
+    out = tmp_path / "out"
+    path = few.folder / LAST
+    aside = tmp_path / "aside"
+    batch = run_into(few, out, [FIRST], jobs=1)
+    path.rename(aside)
+    if fate == "becomes a pipe":
+        os.mkfifo(path)
+    release(out)
+    code, said = batch.end()
+    assert code == 1, said
+    (line,) = failures(said)
+    assert LAST in line
+    check_nothing_half(few, out)
+    assert entries(out)[LAST].state == "failed"
+    path.unlink(missing_ok=True)
+    aside.rename(path)
+    resume(few, out)
 
 
 def test_inputs_that_change_while_they_are_read_are_not_done(few: Archive, tmp_path: Path) -> None:
@@ -63,6 +91,54 @@ def test_inputs_that_change_while_they_are_read_are_not_done(few: Archive, tmp_p
     os.truncate(path, size)
     check_nothing_half(few, out)
     assert not {FIRST, LAST} & set(tree(out))
+    resume(few, out)
+
+
+@pytest.mark.long
+def test_an_input_that_is_replaced_again_and_again_ends_with_the_output_of_the_last(
+    few: Archive, tmp_path: Path
+) -> None:
+    """Each time by renaming, as a careful copy does.
+
+    The output must fit one of them, and in the end the last.
+    """
+    out = tmp_path / "out"
+    rng = random.Random(5)
+    path = few.folder / "2026/day 2/drive.laz"
+    first = tmp_path / "one.laz"
+    second = tmp_path / "other.laz"
+    shutil.copy(path, first)
+    second.write_bytes(first.read_bytes()[:-1])
+    for _ in range(4):
+        batch = Batch(few.folder, out, few.config, jobs=1)
+        while batch.process.poll() is None:
+            new = tmp_path / "new.laz"
+            shutil.copy(rng.choice([first, second]), new)
+            new.replace(path)
+            with contextlib.suppress(Exception):
+                batch.process.wait(rng.random() * 0.3)
+        code, said = batch.end()
+        assert code in (0, 1), said
+        check_nothing_half(few, out)
+    shutil.copy2(first, path)
+    resume(few, out)
+
+
+@pytest.mark.long
+def test_a_shut_input_costs_itself_alone(few: Archive, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    (few.folder / FIRST).chmod(0)
+    (few.folder / "2026/day 2").chmod(0)
+    try:
+        code, said = Batch(few.folder, out, few.config, plain_user=True).end()
+    finally:
+        (few.folder / FIRST).chmod(0o644)
+        (few.folder / "2026/day 2").chmod(0o755)
+    assert code == 1, said
+    assert any(FIRST in line and "ermission denied" in line for line in failures(said)), said
+    assert "day 2" in said, "a folder that cannot be listed must be named"
+    check_nothing_half(few, out)
+    assert LAST in tree(out)
     resume(few, out)
 
 
@@ -123,6 +199,30 @@ def test_corrupt_files_and_things_that_are_no_files_cost_themselves_alone(
     assert tree(out) == few.whole
 
 
+@pytest.mark.long
+def test_too_little_memory_is_said_so_and_the_rest_goes_on(
+    few: Archive, archive: Archive, tmp_path: Path
+) -> None:
+    both = part_of(archive, few.folder, [*FAST, "2026/day 1/drive.csv"])
+    out = tmp_path / "out"
+    code, said = Batch(both.folder, out, both.config, "--memory-limit", "60").end()
+    assert code == 1, said
+    assert "Traceback" not in said
+    assert any("memory" in line for line in failures(said)), said
+    check_nothing_half(both, out)
+    resume(both, out)
+
+
+@pytest.mark.long
+def test_a_folder_that_cannot_be_entered_to_its_end_is_waited_for(
+    few: Archive, tmp_path: Path
+) -> None:
+    """A chain of links that bites its tail ends, too."""
+    (few.folder / "2026" / "again").symlink_to(few.folder, target_is_directory=True)
+    (few.folder / "2026" / "out of it").symlink_to("/", target_is_directory=True)
+    resume(few, tmp_path / "out")
+
+
 @contextlib.contextmanager
 def small_disk(folder: Path, kib: int) -> Iterator[Path]:
     """Mount a file system of so many KiB."""
@@ -166,6 +266,54 @@ def test_a_full_disk_is_said_so_and_after_room_was_made_the_run_goes_on(
         resume(few, out)
 
 
+@pytest.mark.long
+def test_a_disk_that_becomes_read_only_keeps_what_it_has(few: Archive, tmp_path: Path) -> None:
+    """The state an ext4 gets into after an error."""
+    with small_disk(tmp_path / "disk", 50_000) as disk:
+        out = disk / "out"
+        code, said = Batch(few.folder, out, few.config, "--limit", "1").end()
+        assert code == 0, said
+        before = tree(out)
+        change(disk, "ro")
+        code, said = Batch(few.folder, out, few.config).end()
+        assert code == 1, said
+        (line,) = [line for line in folded(said).splitlines() if line.startswith("error: ")]
+        assert "ead-only file system" in line
+        assert tree(out) == before
+        status = patience.run(
+            [sys.executable, "-m", "prc_cli", "batch", "status", str(out)],
+            capture_output=True,
+            text=True,
+        )
+        assert status.returncode == 0, status.stderr
+        change(disk, "rw")
+        resume(few, out)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("what", ["all of it", "a folder in it"])
+def test_a_shut_output_folder_is_said_so(few: Archive, tmp_path: Path, what: str) -> None:
+    out = tmp_path / "out"
+    shut = out if what == "all of it" else out / "2026"
+    shut.mkdir(parents=True)
+    shut.chmod(0o555)
+    try:
+        code, said = Batch(few.folder, out, few.config, plain_user=True).end()
+    finally:
+        shut.chmod(0o755)
+    assert code == 1, said
+    assert "ermission" in said
+    assert "Traceback" not in said
+    if what == "all of it":
+        assert len([line for line in said.splitlines() if line.startswith("error: ")]) == 1
+        assert os.listdir(out) == []
+    else:
+        assert len(failures(said)) == 2
+        check_nothing_half(few, out)
+        assert "rückweg.las" in tree(out)
+    resume(few, out)
+
+
 def test_outputs_of_somebody_else_stay(few: Archive, tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
@@ -185,3 +333,22 @@ def test_outputs_of_somebody_else_stay(few: Archive, tmp_path: Path) -> None:
         name = temporary_name(path).name.replace(f"-{os.getpid()}-", f"-{dead_process()}-")
         path.with_name(name).write_bytes(b"half")
     resume(few, out)
+
+
+@pytest.mark.long
+def test_a_lost_or_damaged_journal_costs_no_output(few: Archive, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    resume(few, out)
+    journal = out / OWN_FOLDER / "journal.sqlite"
+    journal.write_bytes(b"SQLite format 3\0" + os.urandom(journal.stat().st_size))
+    code, said = Batch(few.folder, out, few.config).end()
+    assert code == 1, said
+    (line,) = [line for line in folded(said).splitlines() if line.startswith("error: ")]
+    assert "is no whole journal" in line
+    assert "--overwrite" in line
+    journal.rename(journal.with_suffix(".damaged"))
+    code, said = Batch(few.folder, out, few.config, "--overwrite").end()
+    assert code == 0, said
+    journal.with_suffix(".damaged").unlink()
+    check_whole(few, out)
+    assert {entry.state for entry in entries(out).values()} == {"done"}

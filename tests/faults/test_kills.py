@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import random
+import re
 import signal
 import time
 from collections.abc import Sequence
@@ -60,6 +61,12 @@ def test_many_kills(archive: Archive, tmp_path: Path) -> None:
     assert tally.with_running > 5
 
 
+@pytest.mark.long
+def test_kills_with_dask(fast: Archive, tmp_path: Path) -> None:
+    """Of the run, its workers and the scheduler."""
+    kill_many(fast, tmp_path, 4, seed=13, engine="dask")
+
+
 @pytest.mark.parametrize(
     "seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 12))]
 )
@@ -70,6 +77,16 @@ def test_a_kill_just_before_a_step_in_the_output_folder(
     rng = random.Random(seed)
     two = part_of(fast, tmp_path / "archive", step_kills.NAMES)
     strike_step(two, tmp_path / "out", Strike(rng.randint(8, 44), rng.choice(["all", "self"])))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("victims", ["all", "self"])
+def test_a_kill_right_after_a_file_got_its_name(
+    fast: Archive, tmp_path: Path, victims: str
+) -> None:
+    """``python -m tests.faults.step_kills --names`` takes every name."""
+    two = part_of(fast, tmp_path / "archive", step_kills.NAMES)
+    strike_step(two, tmp_path / "out", Strike(4, victims, names=True))
 
 
 def run_into(
@@ -142,6 +159,89 @@ def test_a_signal_ends_the_run_within_seconds(
     code, said = Batch(few.folder, out, few.config).end()
     assert code == 0, said
     check_whole(few, out)
+
+
+@pytest.mark.long
+def test_a_closed_terminal_leaves_no_worker(few: Archive, tmp_path: Path) -> None:
+    batch = run_into(few, tmp_path / "out", FAST[1:])
+    batch.strike(signal.SIGHUP)
+    code, said = batch.end()
+    assert code == 128 + signal.SIGHUP, said
+    batch.wait_until_gone()
+    check_nothing_half(few, tmp_path / "out")
+    code, said = Batch(few.folder, tmp_path / "out", few.config).end()
+    assert code == 0, said
+    check_whole(few, tmp_path / "out")
+
+
+@pytest.mark.long
+def test_a_file_that_kills_every_worker_costs_itself_alone(
+    few: Archive, archive: Archive, tmp_path: Path
+) -> None:
+    """As the system does where memory is short: whoever works on the long file is killed."""
+    long = "2026/day 3/long.laz"
+    both = part_of(archive, few.folder, [*FAST, long])
+    out = tmp_path / "out"
+    batch = Batch(both.folder, out, both.config, jobs=1)
+    n_killed = 0
+    while batch.process.poll() is None:
+        if any(path.name.startswith(".long.laz") for path in parts(out)):
+            n_killed += batch.strike_worker(random.Random(1))
+        time.sleep(0.005)
+    code, said = batch.end()
+    assert code == 1, said
+    assert n_killed >= 2
+    (line,) = [
+        line
+        for line in said.splitlines()
+        if "failed" in line and "long.laz" in line and "again" not in line
+    ]
+    assert "SIGKILL" in line
+    assert "memory" in line
+    check_nothing_half(both, out)
+    assert {name: entry.state for name, entry in entries(out).items() if entry.state != "done"} == {
+        long: "failed"
+    }
+    code, said = Batch(both.folder, out, both.config).end()
+    assert code == 0, said
+    assert parts(out) == []
+    assert entries(out)[long].state == "done"
+
+
+@pytest.mark.long
+def test_a_worker_that_hangs_is_given_up(few: Archive, tmp_path: Path) -> None:
+    """As on a network share that does not answer.
+
+    Tests/jobs/batch/test_local.py has the quick cases.
+    """
+    out = tmp_path / "out"
+    code, said = run_into(few, out, FAST[2:], "--stall", "20", jobs=1).end()
+    assert code == 1, said
+    assert [
+        line
+        for line in said.splitlines()
+        if "failed" in line and "no progress for 20 s, given up" in line
+    ], said
+    check_nothing_half(few, out)
+    assert sorted(entry.state for entry in known(out)) == ["done", "done", "failed"]
+    code, said = Batch(few.folder, out, few.config).end()
+    assert code == 0, said
+    check_whole(few, out)
+
+
+@pytest.mark.long
+def test_two_runs_at_once_do_no_harm(few: Archive, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    runs = [Batch(few.folder, out, few.config, jobs=1) for _ in range(2)]
+    ended = sorted(run.end() for run in runs)
+    assert [code for code, _ in ended] == [0, 5] or [code for code, _ in ended] == [0, 0], ended
+    if ended[1][0] == 5:
+        (line,) = [
+            line for line in ended[1][1].splitlines() if "another run is at work here" in line
+        ]
+        assert re.search(r"kill \d+", line)
+    check_whole(few, out)
+    assert {entry.attempts for entry in known(out)} == {1}
 
 
 @pytest.mark.long

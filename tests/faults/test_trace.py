@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from tests import patience
+from tests.faults.harness import Archive
 from tests.fuzz.seeds import seed
 
 pytestmark = pytest.mark.slow
@@ -145,6 +146,21 @@ def test_a_file_is_on_the_disk_before_it_has_its_name(
     named = check_order(traced_calls, out)
     assert set(outputs) <= named, named
     assert {path.name for path in out.iterdir()} <= named
+
+
+@pytest.mark.long
+def test_so_is_every_file_of_a_batch(few: Archive, tmp_path: Path) -> None:
+    """Outputs of the workers, and what the run itself keeps.
+
+    SQLite flushes its journal by itself.
+    """
+    out = tmp_path / "out"
+    traced_calls = traced(
+        tmp_path, "batch", few.folder, out, "--config", few.config, "--jobs", "2", "-q"
+    )
+    named = check_order(traced_calls, out)
+    assert set(few.whole) <= named
+    assert "summary.json" in named
 
 
 def test_what_is_out_of_order_is_seen(tmp_path: Path) -> None:
