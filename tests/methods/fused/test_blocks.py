@@ -128,6 +128,17 @@ def test_odd_columns_are_moved_by_half_a_line(late: float) -> None:
     assert np.array_equal(moved[:, ::2], wall(odd)[:, ::2])
 
 
+def test_lines_may_begin_with_either_half() -> None:
+    odd = np.arange(len(BEAM)) % 2 == 1
+    first = wall(np.where(odd, 0.5, 0.0))[:30]
+    second = wall(np.where(odd, -0.5, 0.0), lines=60)[30:]
+    moved = in_step(np.concatenate([first, second]))
+    whole = wall(np.zeros(len(BEAM)), lines=60)
+    off = np.abs(moved - whole).max(axis=1)
+    assert off[1:22].max() < 0.03
+    assert off[38:-1].max() < 0.03
+
+
 def test_others_stay() -> None:
     odd = np.where(np.arange(len(BEAM)) % 2 == 1, 0.5, 0.0)
     level = wall(0 * odd)
