@@ -662,6 +662,11 @@ def print_places(places: Places) -> None:
         f"{len(places.places):,} places have {places.n_listed:,} of {places.n_differ:,} "
         "records that differ"
     )
+    if any(row["explain"] is None for row in listed):
+        results().print(
+            "prc explain needs a scan line and a column, which some places do not have; "
+            "give -M, or --points with the points of the labels"
+        )
     if listed and all(row["x"] is None for row in listed):
         results().print(
             "no coordinates: a map cannot show the places; name a cloud of the same shots, "

@@ -123,6 +123,13 @@ class ClassMapping(Params):
         listed = tuple(self.predicted if side == "predicted" else self.reference)
         return (*listed, OTHER) if self.unlisted == "other" and OTHER not in listed else listed
 
+    def first_codes(self, side: Side) -> dict[str, int]:
+        """Return the first code of every class of a side but ``other``."""
+        listed = self.predicted if side == "predicted" else self.reference
+        return {
+            name: _span(codes[0])[0] for name, codes in listed.items() if codes and name != OTHER
+        }
+
     @property
     def scored_names(self) -> tuple[str, ...]:
         """Names of both sides, in the order of the reference; never ``other``."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,8 @@ NAMES = ("class", "label", "classification", "class_code")
 CODES_AT_ONCE = 1 << 20
 """Codes read at a time."""
 
+_BY_HAND = re.compile(rb"# labels by hand: .*?(?:, (\d+) records)?\s*$")
+_HEAD_BYTES = 4096
 LABEL_BYTES = 4
 """Bytes of a SemanticKITTI label."""
 SEMANTIC_BITS = 0xFFFF
@@ -56,6 +59,19 @@ def open_codes(path: Path, dimension: str | None = None) -> CodeSource:
     if not path.is_file():
         raise InputError(str(path), "no such file, expected class codes", "check the name")
     return known[suffix].code_source(path, dimension)
+
+
+def labelled_records(path: Path) -> int | None:
+    """Return the number of records of the file that labels by hand are about, by their first line.
+
+    It is ``# labels by hand: drive.laz, 1000 records``. 0 = not known, None = no labels by hand.
+    """
+    if suffix_of(path) != ".csv":
+        return None
+    with open_to_read(path) as handle:
+        head = handle.readline(_HEAD_BYTES)
+    known = _BY_HAND.match(head)
+    return int(known[1] or 0) if known else None
 
 
 def code_suffix_of(path: Path) -> str:

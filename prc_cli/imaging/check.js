@@ -62,16 +62,15 @@
   // ---- data of a place: integers byte by byte, differences, deflated, base64
   async function unpack(name, bytes) {
     const node = $(name);
-    if (!node) return new Uint16Array(0);
+    if (!node) return new Uint32Array(0);
     const packed = Uint8Array.from(atob(node.textContent), (letter) => letter.charCodeAt(0));
     const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
     const raw = new Uint8Array(await new Response(stream).arrayBuffer());
-    const n = raw.length / bytes, values = new Uint16Array(n), mask = 2 ** (8 * bytes) - 1;
+    const n = raw.length / bytes, values = new Uint32Array(n), size = 2 ** (8 * bytes);
     let last = 0;
     for (let i = 0; i < n; i++) {
-      let value = raw[i];
-      if (bytes === 2) value |= raw[n + i] << 8;
-      last = (last + value) & mask;
+      for (let k = 0; k < bytes; k++) last += raw[k * n + i] * 2 ** (8 * k);
+      last %= size;
       values[i] = last;
     }
     return values;
@@ -80,7 +79,7 @@
   async function load(number) {
     const place = places[number], cells = await unpack(`cells-${number}`, 1), codes = await unpack(`points-${number}`, 2);
     let at = 0, from = 0;
-    const points = { n: 0, x: [], y: [], z: [], bright: [], far: [] };
+    const points = { n: 0, x: [], y: [], z: [], bright: [], far: [], cell: [] };
     const windows = place.windows.map((one, level) => {
       const n = one.n[0] * one.n[1], range = cells.subarray(at, at + n);
       at += n;
@@ -94,14 +93,22 @@
           const [x, y, z] = [0, 1, 2].map((axis) => codes[from + axis * m + k]);
           if (!x) continue;
           points.x.push((x - about.zero) * step); points.y.push((y - about.zero) * step); points.z.push((z - about.zero) * step);
+          points.cell.push(level ? -1 : returns[k]);
           points.bright.push(bright ? bright[returns[k]] : 0);
           points.far.push(level);
           points.n++;
         }
         from += 3 * m;
       }
-      return { n: one.n, steps: one.steps, flipped: one.flipped, range, bright };
+      return { n: one.n, steps: one.steps, flipped: one.flipped, range, bright, records: new Float64Array(0), metres: new Float64Array(0) };
     });
+    // records and ranges of the near window, for labels by hand
+    const [near] = windows, shots = await unpack(`shots-${number}`, 4), n = shots.length / 2;
+    near.records = new Float64Array(near.range.length).fill(-1); near.metres = new Float64Array(near.range.length);
+    for (let i = 0, k = 0; i < near.range.length; i++) if (near.range[i]) {
+      near.records[i] = shots[k] - 1; near.metres[i] = shots[n + k] * about.range_step;
+      k++;
+    }
     return { place, windows, points };
   }
 
@@ -111,7 +118,7 @@
   const gray = Array.from({ length: 256 }, (_, v) => pack(v, v, v));
   const dense = Math.min(window.devicePixelRatio || 1, 1.5), RAD = Math.PI / 180, FOV = 40 * RAD;
   const view = { azimuth: 0, up: 0, away: 1 };
-  let data = null, isBright = false, paper = 0, pick = "#c2007a", queued = false;
+  let data = null, painter = null, isBright = false, paper = 0, pick = "#c2007a", queued = false;
   function theme() {
     const style = getComputedStyle(document.documentElement), hex = style.getPropertyValue("--view").trim();
     const value = parseInt(hex.slice(1), 16);
@@ -137,7 +144,8 @@
     const rowOf = (column) => one.flipped ? nColumns - 1 - column : column;
     for (let line = 0; line < nLines; line++) for (let column = 0; column < nColumns; column++) {
       const i = line * nColumns + column, range = one.range[i];
-      out[rowOf(column) * nLines + line] = !range ? paper : isBright && one.bright ? gray[one.bright[i]] : ramp[255 - range];
+      const colour = !range ? paper : isBright && one.bright ? gray[one.bright[i]] : ramp[255 - range];
+      out[rowOf(column) * nLines + line] = range && one.records.length ? painter.tint(colour, one.records[i]) : colour;
     }
     sheetPen.putImageData(pixels, 0, 0);
     pen.imageSmoothingEnabled = false;
@@ -145,6 +153,7 @@
     const wide = canvas.width / nLines, tall = canvas.height / nColumns;
     const line = Math.floor(nLines / 2), row = rowOf(Math.floor(nColumns / 2));
     ring(pen, (line + 0.5) * wide, (row + 0.5) * tall, Math.max(8 * dense, Math.max(wide, tall)));
+    if (one.records.length) painter.draw(pen);
   }
   let depths = new Float32Array(0), ids = new Int32Array(0);
   function drawCloud() {
@@ -169,7 +178,8 @@
     for (let k = 0; k < n; k++) {
       const q = ids[k];
       if (q < 0) { out[k] = paper; continue; }
-      const colour = asBright ? gray[points.bright[q]] : ramp[Math.min(255, Math.max(0, Math.round(255 * (points.z[q] - low) / span)))];
+      const plain = asBright ? gray[points.bright[q]] : ramp[Math.min(255, Math.max(0, Math.round(255 * (points.z[q] - low) / span)))];
+      const colour = points.cell[q] < 0 ? plain : painter.tint(plain, data.windows[0].records[points.cell[q]]);
       // edges: darker where neighbours are in front (eye-dome lighting, Boucheny 2009)
       let deeper = 0;
       for (const other of [k - 1, k + 1, k - width, k + width, k - 2, k + 2, k - 2 * width, k + 2 * width])
@@ -205,6 +215,7 @@
     loaded.low = heights.length ? heights[Math.floor(heights.length * 0.02)] : 0;
     loaded.high = heights.length ? heights[Math.floor(heights.length * 0.98)] : 1;
     data = loaded;
+    spot[0] = Math.floor(picture.width / 2); spot[1] = Math.floor(picture.height / 2);
     const { place } = data, [scanner, line, column, record] = place.cell;
     $("facts").textContent = `line ${line}, column ${column}${scanner ? `, scanner ${scanner}` : ""}${record < 0 ? "" : `, record ${record}`}, range ${place.range.toFixed(2)} m`;
     $("bright").hidden = !place.bright;
@@ -244,6 +255,35 @@
     for (const id of ["near-hint", "wide-hint"]) $(id).textContent = $(id).textContent.replace(/^\w+/, isBright ? "brightness" : "range");
     redraw();
   }
+  // ---- labels by hand, in the near window: its cells are records
+  const near = $("near"), spot = [0, 0], rowOf = (y) => data.windows[0].flipped ? picture.height - 1 - y : y;
+  const indexAt = (x, y) => x * picture.height + rowOf(y);
+  const picture = {
+    dense,
+    get width() { return data ? data.windows[0].n[0] : 1; },
+    get height() { return data ? data.windows[0].n[1] : 1; },
+    cell: (x, y) => data.windows[0].records[indexAt(x, y)],
+    range: (x, y) => data.windows[0].metres[indexAt(x, y)],
+    view: () => ({ x: 0, y: 0, wide: near.width / picture.width, tall: near.height / picture.height }),
+    cursor: () => spot,
+    changed: () => redraw(),
+    redraw: () => redraw(),
+    switched: () => redraw(),
+    pan() {},
+    zoom() {},
+    columns: ["record"],
+    identify: (record) => record,
+    find: (rows) => rows.map(({ record }) => (Number.isInteger(record) ? record : -1)),
+  };
+  painter = labelsByHand(about.paint, near, picture);
+  near.addEventListener("keydown", (event) => {
+    const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+    if (!step || !painter.isOn) return;
+    spot[0] = Math.max(0, Math.min(picture.width - 1, spot[0] + step[0])); spot[1] = Math.max(0, Math.min(picture.height - 1, spot[1] + step[1]));
+    event.preventDefault(); event.stopPropagation();
+    redraw();
+  });
+
   const next = () => { const open = firstOpen(now + 1); show(open < 0 ? (now + 1) % places.length : open); };
   const keys = {
     "?": () => answer(CANNOT_TELL), 0: () => answer(CANNOT_TELL), o: () => answer(OTHER), Backspace: back, n: next, b: bright, s: save,

@@ -9,26 +9,24 @@ intensity of every cell) and coordinates (of the cells with a return).
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from importlib import resources
+from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.pages import render_page
-from prc_cli.core.types import F32, F64
+from prc_cli.core.types import F32, F64, I64
+from prc_cli.imaging.page import HandLabels, interactive_page, pack
 from prc_cli.imaging.pictures import colour_map
-from prc_cli.imaging.viewer import pack
 
 _FAR_M = 300.0
 """Points farther from the shot than this have no place [m]."""
 _STEPS_M = (0.01, 0.02)
 """Coordinates are rounded to this in the near and in the wide window [m]."""
+_RANGE_M = 0.002
+"""Ranges of the near window are rounded to this, for the flood over like ranges [m]."""
 _ZERO = 32_768
 """Coordinate 0 as an unsigned number of two bytes; 0 = no place."""
 _LEAST_UP_DEG = 8.0
@@ -62,6 +60,8 @@ class Window(NamedTuple):
     """(lines, columns, 3) float32 [m], relative to the shot; None = nothing places the shots."""
     intensity: F32
     """(lines, columns) float32; NaN = none."""
+    record: I64
+    """(lines, columns) int64, index in the input; -1 = none."""
     is_flipped: bool
     """Whether later columns are higher."""
 
@@ -84,6 +84,7 @@ def check_page(
     answers: Mapping[str, Any],
     colours: Sequence[tuple[int, int, int]],
     file: str,
+    labels: HandLabels,
 ) -> str:
     """Return the page.
 
@@ -98,42 +99,27 @@ def check_page(
         Of the classes of ``answers``.
     file : str
         Name under which it is saved.
+    labels : HandLabels
+        How the near windows are painted.
     """
     places = []
-    texts = []
+    texts: dict[str, str] = {}
     for number, view in enumerate(views):
         about, texts_of_place = _place(view)
         places.append(about)
-        texts += [(f"{name}-{number}", text) for name, text in texts_of_place.items()]
+        texts |= {f"{name}-{number}": text for name, text in texts_of_place.items()}
     about = {
         "answers": answers,
         "colours": colours,
         "file": file,
+        "paint": asdict(labels),
+        "range_step": _RANGE_M,
         "places": places,
         "ramp": colour_map().tolist(),
         "steps": _STEPS_M,
         "zero": _ZERO,
     }
-    files = resources.files("prc_cli.imaging")
-    styles = (files / name for name in ("viewer.css", "check.css"))
-    style = "".join(path.read_text(encoding="utf-8") for path in styles)
-    script = (files / "check.js").read_text(encoding="utf-8")
-    values = {
-        "title": title,
-        "head": head,
-        "style": style,
-        "style_hash": _hash(style),
-        "script": script,
-        "script_hash": _hash(script),
-        # "<" is escaped, so that user text cannot end the element
-        "about": json.dumps(about, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
-        "texts": texts,
-    }
-    return render_page("prc_cli.imaging", "check.html", values)
-
-
-def _hash(text: str) -> str:
-    return base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
+    return interactive_page("check", about, texts, {"title": title, "head": head})
 
 
 def _place(view: PlaceView) -> tuple[dict[str, Any], dict[str, str]]:
@@ -165,9 +151,17 @@ def _place(view: PlaceView) -> tuple[dict[str, Any], dict[str, str]]:
         "points": sum(map(len, points)) // 3,
     }
     texts = {"cells": pack(np.concatenate([plane.ravel() for plane in planes]), 1)}
+    texts["shots"] = pack(_shots(view.near), 4)
     if points:
         texts["points"] = pack(np.concatenate(points), 2)
     return about, texts
+
+
+def _shots(window: Window) -> NDArray[np.uint32]:
+    # record and range of every shot with a return, one after the other
+    seen = window.range_m > 0
+    steps = np.rint(window.range_m[seen].astype(np.float64) / _RANGE_M)
+    return np.concatenate([window.record[seen] + 1, steps]).astype(np.uint32)
 
 
 def _log_scale(range_m: F32) -> tuple[float, float]:

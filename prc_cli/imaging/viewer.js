@@ -62,8 +62,10 @@
   const ramp = about.ramp.map((one) => pack(...one));
   let mode = "class", scaled = null, chosen = -1, base = pack(255, 255, 255), paper = pack(255, 255, 255), pick = "#c2007a";
 
+  let painter = null;
   function colourOf(i) {
-    return mode === "class" ? palette[data.class[i]] : data[mode][i] ? ramp[scaled[i]] : base;
+    const colour = mode === "class" ? palette[data.class[i]] : data[mode][i] ? ramp[scaled[i]] : base;
+    return painter ? painter.tint(colour, i) : colour;
   }
   function setMode(name) {
     mode = name;
@@ -249,14 +251,27 @@
       const pen = tile.getContext("2d"), pixels = pen.createImageData(wide, columns.n), out = new Uint32Array(pixels.data.buffer);
       for (let x = 0; x < wide; x++) {
         const line = across(first + x) * columns.n;
-        for (let y = 0; y < columns.n; y++) {
-          const i = line + order[y];
-          out[y * wide + x] = data.class[i] && visible[data.class[i]] ? colourOf(i) : base;
-        }
+        for (let y = 0; y < columns.n; y++) out[y * wide + x] = pixelOf(line + order[y]);
       }
       pen.putImageData(pixels, 0, 0);
-      tiles.push({ first, tile });
+      tiles.push({ first, tile, pen, pixels, out });
     }
+  }
+  const pixelOf = (i) => data.class[i] && visible[data.class[i]] ? colourOf(i) : painter ? painter.tint(base, i) : base;
+  // only the pixels of some cells, and only the part of each tile that they are in
+  function repaintCells(cells) {
+    const ends = tiles.map(() => [Infinity, Infinity, -1, -1]);
+    for (const i of cells) {
+      const place = across(Math.floor(i / columns.n)), number = Math.floor(place / TILE), x = place % TILE, y = rowOf[i % columns.n], end = ends[number];
+      tiles[number].out[y * tiles[number].tile.width + x] = pixelOf(i);
+      if (x < end[0]) end[0] = x;
+      if (y < end[1]) end[1] = y;
+      if (x > end[2]) end[2] = x;
+      if (y > end[3]) end[3] = y;
+    }
+    ends.forEach(([x0, y0, x1, y1], number) => {
+      if (x1 >= 0) tiles[number].pen.putImageData(tiles[number].pixels, 0, 0, x0, y0, x1 - x0 + 1, y1 - y0 + 1);
+    });
   }
   const scales = () => [image.width / lines.n * look.zoom, image.height / columns.n * look.zoom];
   function drawImage() {
@@ -267,7 +282,8 @@
     imagePen.fillRect(0, 0, image.width, image.height);
     imagePen.imageSmoothingEnabled = false;
     for (const { first, tile } of tiles) imagePen.drawImage(tile, (first - look.x) * sx, -look.y * sy, tile.width * sx, tile.height * sy);
-    if (chosen >= 0) ring(imagePen, (across(Math.floor(chosen / columns.n)) + 0.5 - look.x) * sx, (rowOf[chosen % columns.n] + 0.5 - look.y) * sy);
+    if (painter) painter.draw(imagePen);
+    if (chosen >= 0 && !(painter && painter.isOn)) ring(imagePen, (across(Math.floor(chosen / columns.n)) + 0.5 - look.x) * sx, (rowOf[chosen % columns.n] + 0.5 - look.y) * sy);
   }
   function cellAt(x, y) {
     const [sx, sy] = scales(), i = Math.floor(x / sx + look.x), row = Math.floor(y / sy + look.y);
@@ -311,15 +327,28 @@
   }
 
   // ---- drawing on demand
-  function redraw() {
+  let isCloudOld = false;
+  function redraw(isCloud = true) {
+    isCloudOld = isCloudOld || isCloud !== false;
     if (queued) return;
     queued = true;
-    requestAnimationFrame(() => { queued = false; fitCanvas(cloud); fitCanvas(image); if (nPoints) drawCloud(); drawImage(); });
+    requestAnimationFrame(() => {
+      queued = false;
+      if (fitCanvas(cloud)) isCloudOld = true;
+      fitCanvas(image);
+      if (nPoints && isCloudOld) drawCloud();
+      isCloudOld = false;
+      drawImage();
+    });
   }
   function moving() {
     fast = true; redraw();
+    drawSlowly(160);
+  }
+  // every point of the cloud, when nothing moves any more
+  function drawSlowly(after) {
     clearTimeout(later);
-    later = setTimeout(() => { fast = false; redraw(); }, 160);
+    later = setTimeout(() => { if (painter && painter.isBusy) drawSlowly(after); else { fast = false; redraw(); } }, after);
   }
   function repaint() { makeTiles(); redraw(); }
   function theme() {
@@ -371,6 +400,41 @@
     $("image-hint").textContent = i < 0 ? "" : `line ${lines.first + Math.floor(i / columns.n) * lines.step}, column ${columns.first + i % columns.n * columns.step}`;
   });
   image.addEventListener("pointerleave", () => { $("image-hint").textContent = ""; });
+
+  // ---- labels by hand
+  const cellOfCursor = () => chosen < 0 ? null : [across(Math.floor(chosen / columns.n)), rowOf[chosen % columns.n]];
+  const recordOf = (i) => data.record && data.record[i] ? Math.round(valueOf("record", i)) : "";
+  painter = labelsByHand(about.paint, image, {
+    width: lines.n, height: columns.n, dense,
+    cell: (x, y) => { const i = across(x) * columns.n + order[y]; return data.range[i] ? i : -1; },
+    range: (x, y) => { const code = data.range[across(x) * columns.n + order[y]]; return code ? planes.range.offset + planes.range.scale * (code - 1) : 0; },
+    view: () => { const [wide, tall] = scales(); return { x: look.x, y: look.y, wide, tall }; },
+    cursor: cellOfCursor,
+    changed(cells, isFinished) {
+      repaintCells(cells);
+      redraw(false);
+      if (isFinished) drawSlowly(700);
+    },
+    redraw: () => redraw(false),
+    // the predicted classes would lead the hand: ranges are shown, until another colour is chosen
+    switched(isOn) {
+      if (isOn && mode === "class") { setMode("range"); $("colours").value = "range"; repaint(); }
+    },
+    pan(dx, dy) { const [sx, sy] = scales(); look.x -= dx / sx; look.y -= dy / sy; },
+    zoom: (factor, x, y) => zoomImage(factor, x, y),
+    columns: ["record", "scan_line", "column"],
+    identify: (i) => [recordOf(i), lines.first + Math.floor(i / columns.n) * lines.step, columns.first + i % columns.n * columns.step].join(","),
+    find(rows) {
+      const byRecord = new Map();
+      if (data.record && rows.some((one) => Number.isNaN(one.line))) for (let i = 0; i < nCells; i++) if (data.record[i]) byRecord.set(recordOf(i), i);
+      return rows.map((one) => {
+        const line = (one.line - lines.first) / lines.step, column = (one.column - columns.first) / columns.step;
+        const isCell = Number.isInteger(line) && Number.isInteger(column) && line >= 0 && column >= 0 && line < lines.n && column < columns.n;
+        const i = isCell ? line * columns.n + column : byRecord.has(one.record) ? byRecord.get(one.record) : -1;
+        return i >= 0 && data.range[i] ? i : -1;
+      });
+    },
+  });
 
   const steps = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
   cloud.addEventListener("keydown", (event) => {

@@ -6,22 +6,18 @@ shots, byte by byte, deflated, base64. The page decodes them with what every bro
 
 from __future__ import annotations
 
-import base64
 import hashlib
-import json
 import math
-import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from importlib import resources
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.pages import render_page
 from prc_cli.core.types import F64, U8
 from prc_cli.imaging.cloud import Box, bounds, fullest_azimuth
+from prc_cli.imaging.page import HandLabels, interactive_page, pack
 from prc_cli.imaging.pictures import Limits, colour_map, range_limits, value_limits
 
 _ROOM = 0.5
@@ -91,6 +87,7 @@ def viewer_page(
     head: str,
     notes: Sequence[str],
     foot: str,
+    labels: HandLabels,
     why: str = "",
 ) -> str:
     """Return the page."""
@@ -123,27 +120,12 @@ def viewer_page(
         "why": why,
         "ramp": colour_map().tolist(),
     }
-    files = resources.files("prc_cli.imaging")
-    style = (files / "viewer.css").read_text(encoding="utf-8")
-    script = (files / "viewer.js").read_text(encoding="utf-8")
-    values = {
-        "title": title,
-        "head": head,
-        "notes": notes,
-        "foot": foot,
-        "style": style,
-        "style_hash": _hash(style),
-        "script": script,
-        "script_hash": _hash(script),
-        # "<" is escaped, so that user text cannot end the element
-        "about": json.dumps(about, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
-        "planes": texts.items(),
-    }
-    return render_page("prc_cli.imaging", "viewer.html", values)
-
-
-def _hash(text: str) -> str:
-    return base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
+    # pages of one scan share their labels, whatever its classes are
+    scan = hashlib.sha256(f"{about['lines']} {about['columns']} {texts['range']}".encode())
+    about["paint"] = asdict(replace(labels, scan=scan.hexdigest()[:16]))
+    values = {"title": title, "head": head, "notes": notes, "foot": foot}
+    named = {f"plane-{name}": text for name, text in texts.items()}
+    return interactive_page("viewer", about, named, values)
 
 
 def _placed(xyz_m: F64, framed: NDArray[np.bool_]) -> tuple[dict[str, Any], dict[str, Values]]:
@@ -200,11 +182,3 @@ def _plane(quantity: Values, limits: Limits | None) -> tuple[dict[str, Any], str
         about["low"], about["high"] = value_limits(values) if limits is None else limits
         about["log"] = quantity.is_logarithmic
     return about, pack(codes.astype(np.uint32), quantity.n_bytes)
-
-
-def pack(integers: NDArray[np.uint32], n_bytes: int) -> str:
-    """Return integers below 256 ** n_bytes, (n,) uint32, as text."""
-    steps = np.diff(integers, prepend=np.uint32(0)).astype("<u4")
-    planes = steps.view(np.uint8).reshape(-1, 4).T[:n_bytes]
-    compressed = zlib.compress(np.ascontiguousarray(planes).tobytes(), 6)
-    return base64.b64encode(compressed).decode("ascii")

@@ -266,6 +266,8 @@ class SideFile:
     """The points that labels alone belong to, record by record."""
     dense_line: int | None = None
     """M, where there is a code for every cell, in order; None = not known."""
+    is_whole: bool = False
+    """Whether a LAS file still has all its records, so that they can be counted."""
 
     @classmethod
     def open(cls, path: Path, dimension: str | None, points: Path | None) -> SideFile:
@@ -462,7 +464,8 @@ class Side:
         place = file.find(_NAMES.get(name, (name,)))
         by_index = name == RECORD and self.key == KeyRule("dimension", RECORD)
         # points may have been removed from a LAS file since
-        if place is None and by_index and not isinstance(file.table, LasSource):
+        is_whole = file.is_whole or not isinstance(file.table, LasSource)
+        if place is None and by_index and is_whole:
             return None, _INDEX
         return place
 

@@ -21,6 +21,7 @@ import pytest
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, U8
 from prc_cli.imaging.cloud import NARROWEST, DepthBuffer, FromAbove, Perspective, Sample
+from prc_cli.imaging.page import HandLabels, PaintedClass
 from prc_cli.imaging.pictures import segment_picture, value_bar
 from prc_cli.imaging.sheet import Axis, Panel, draw_panel, draw_sheet, zoom_for
 from prc_cli.imaging.viewer import ClassEntry, Shots, Values, viewer_page
@@ -207,7 +208,10 @@ def decoded(page: str) -> tuple[dict[str, Any], dict[str, F64]]:
 
 
 def page_of(scan: Shots) -> str:
-    return viewer_page(scan, title=TITLE, head="all & more", notes=["1 < 2"], foot="prc")
+    labels = HandLabels([PaintedClass(2, "ground", (1, 2, 3))], "", "a", None, "a.csv", "prc")
+    return viewer_page(
+        scan, title=TITLE, head="all & more", notes=["1 < 2"], foot="prc", labels=labels
+    )
 
 
 def test_the_data_of_the_page_are_the_shots() -> None:

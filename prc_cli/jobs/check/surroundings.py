@@ -260,6 +260,7 @@ def _view(
                 patch.range_m,
                 xyz_m - xyz_m[middle] if is_known else None,
                 patch.intensity,
+                patch.record,
                 _is_flipped(windows.beam_rad, patch.columns),
             )
         )

@@ -15,7 +15,7 @@ from prc_cli.core.window import Window
 from prc_cli.evaluation.confusion import ConfusionMatrix, GroupedCounts, refuse_poor_match
 from prc_cli.evaluation.mapping import ClassMapping, UnlistedError, load_mapping
 from prc_cli.evaluation.scores import Evaluation, MatchReport, ThreeCounts
-from prc_cli.formats.labels import open_codes
+from prc_cli.formats.labels import labelled_records, open_codes
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.writing.disk import scratch_file
 from prc_cli.jobs.coordinates import placed_source
@@ -404,6 +404,10 @@ def _compare(
     """Match one pool of files and count its pairs; return how they were matched."""
     left, right = _with_stored_lines(left, right, counts)
     left = _with_dense_lines(left, options)
+    if options.match == "order" and (by_hand := _by_hand(left, right)) is not None:
+        left, right = by_hand
+        options = replace(options, match=_UnsortedRecordsError.match)
+        counts.note("labels by hand: matched by record number, other shots are not scored")
     plan = _plan(left, right, options, by_lines=by_lines)
     for name in plan.noted:
         counts.note(f"{SPLITS.get(name, name)}: taken from the reference")
@@ -455,6 +459,28 @@ def _compare(
     if options.match != "order":
         _refuse_poor(left, right, n_left, n_right, tally, options)
     return options.match
+
+
+def _by_hand(left: Side, right: Side) -> tuple[Side, Side] | None:
+    """Return sides that are matched by record, if the reference is labels by hand of such a file.
+
+    Otherwise they are matched like other files: by cell if their lengths differ.
+    """
+    if len(left.files) != 1 or len(right.files) != 1:
+        return None
+    n_records = labelled_records(Path(right.files[0].codes.path))
+    if n_records is None:
+        return None
+    file = left.files[0]
+    is_las = isinstance(file.table, LasSource)
+    known = {_length_of(left), n_records} - {None, 0}
+    if len(known) > 1 and not right.files[0].has_cells:
+        problem = f"labels by hand of a file of {n_records} records, found {_length_of(left)}"
+        raise InputError(right.path, f"{problem} in {left.path}", "give the file that was painted")
+    if len(known) > 1 or (is_las and not n_records):
+        return None
+    left = replace(left, files=[replace(file, is_whole=True)])
+    return _keyed(left, right, _UnsortedRecordsError.key)
 
 
 def _keyed(left: Side, right: Side, key: KeyRule) -> tuple[Side, Side]:

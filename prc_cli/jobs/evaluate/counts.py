@@ -24,7 +24,7 @@ from prc_cli.evaluation.confusion import (
     range_groups,
 )
 from prc_cli.evaluation.mapping import ClassMapping
-from prc_cli.evaluation.places import Place
+from prc_cli.evaluation.places import Place, best_first
 from prc_cli.evaluation.scores import (
     FEW_BLOCKS,
     LEVEL,
@@ -277,7 +277,8 @@ class Counting:
             places, n_differ = self._places.places()
             if self._counts.pair_file is not None:
                 self._counts.pair_file.keep()
-            self._counts.places += places
+            # the best of all pools, so that memory stays bounded
+            self._counts.places = best_first([*self._counts.places, *places])
             self._counts.n_differ += n_differ
         if self._window is not None:
             self._counts.note(*self._window.outside(path))

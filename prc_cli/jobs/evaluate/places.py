@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import shlex
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -22,7 +22,6 @@ from prc_cli.evaluation.places import (
     Place,
     PlaceFinder,
     Places,
-    best_first,
 )
 from prc_cli.formats.las.vlrs import epsg_of
 from prc_cli.formats.writing.disk import scratch_errors
@@ -125,11 +124,11 @@ class PlaceCollector:
         )
 
     def places(self) -> tuple[list[Place], int]:
-        """Return the best places, and the number of records that differ."""
+        """Return the places, and the number of records that differ."""
         places = self._finder.places(
             self._mapping.names("reference"), self._mapping.names("predicted")
         )
-        return best_first(places), self._finder.n_differ
+        return places, self._finder.n_differ
 
 
 class PairFile:
@@ -256,15 +255,17 @@ def _greys(pairs: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def listed_places(
-    unordered: Iterable[Place],
+    places: Sequence[Place],
     n_differ: int,
     files: Sequence[str],
     sides: Sequence[tuple[Side, Side]],
     pairs: PairFile | None,
     mapping: ClassMapping,
 ) -> Places:
-    """Return the places with their files, rules, commands, coordinate system and pictures."""
-    places = best_first(unordered)
+    """Return the places with their files, rules, commands, coordinate system and pictures.
+
+    The best come first.
+    """
     listed = [
         ListedPlace(
             place,

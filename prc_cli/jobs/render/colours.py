@@ -22,6 +22,7 @@ from prc_cli.core.version import __version__
 from prc_cli.evaluation.mapping import ClassMapping, Side, load_mapping
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.writing.record import PROGRAM, record_path
+from prc_cli.imaging.page import PaintedClass
 from prc_cli.imaging.pictures import (
     MISSING_COLOUR,
     NOT_SCORED_COLOUR,
@@ -154,6 +155,16 @@ class Vocabulary:
     def noise(self) -> set[int]:
         """Indices of noise."""
         return {i for i, name in enumerate(self.table.names) if name == LABEL_NAMES[Label.NOISE]}
+
+    def painted(self) -> list[PaintedClass]:
+        """Return the classes that can be painted, with a code of the reference side."""
+        if self.mapping is None:
+            labels = [label for label in Label if label > Label.UNCLASSIFIED]
+            codes = {LABEL_NAMES[label]: self.codes.code(label) for label in labels}
+        else:
+            codes = self.mapping.first_codes("reference")
+        colours = {name: self.table.colour(k) for k, name in enumerate(self.table.names)}
+        return [PaintedClass(code, name, colours[name]) for name, code in codes.items()]
 
     def mark_unscored(self, places: U8, seen: Mask) -> U8:
         """Give returns without a class the last index; all arrays have one shape."""

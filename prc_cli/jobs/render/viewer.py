@@ -23,6 +23,7 @@ from prc_cli.core.version import __version__
 from prc_cli.formats.input import Input
 from prc_cli.formats.records import Source
 from prc_cli.formats.writing.columns import behind
+from prc_cli.imaging.page import HandLabels
 from prc_cli.imaging.viewer import ClassEntry, Shots, Values, viewer_page
 from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import label_blocks
@@ -172,6 +173,7 @@ def render_viewer(
         head=head,
         notes=notes,
         foot=f"Written by prc render {__version__}.",
+        labels=_hand_labels(scan, chosen, words, stream.info.n_records),
         why="" if classes is not None else _explain(scan, loaded, chosen),
     )
     with atomic_output(output, overwrite=overwrite) as temporary:
@@ -185,6 +187,17 @@ def render_viewer(
         counts=words.table.count_by_name(kept.counts),
         n_points=0 if shots.xyz_m is None else int(np.isfinite(shots.xyz_m[..., 0]).sum()),
         notes=notes,
+    )
+
+
+def _hand_labels(
+    scan: Input, options: RenderOptions, words: Vocabulary, n_records: int | None
+) -> HandLabels:
+    labelled = options.labels or scan.path
+    name = f"{labelled.stem}_labels.csv"
+    evaluate = ["prc", "evaluate", labelled.name if options.labels or scan.is_las else "PREDICTED"]
+    return HandLabels(
+        words.painted(), "", labelled.name, n_records, name, shlex.join([*evaluate, name])
     )
 
 
@@ -316,6 +329,7 @@ def _shots(
     range_m = range_m.astype(np.float64)
     seen = classes > 0
     planes = {name: kept.take(name) for name in ("time", "intensity", "xyz", *STAGES)}
+    planes["record"] = np.where(seen & (record >= 0), record, np.nan)
     values: dict[str, F64] = {
         name: plane.astype(np.float64) for name, plane in planes.items() if plane is not None
     }
@@ -384,6 +398,8 @@ def _values(name: str, values: F64, seen: Mask) -> Values:
         span = float(np.nanmax(values) - np.nanmin(values))
         step_s = max(1e-7, 10.0 ** math.ceil(math.log10(max(span, 1e-3) / 4e9)))
         return Values("time", values, step_s, 4, "s", False)
+    if name == "record":
+        return Values("record", values, 1.0, 4, "", is_scale=False)
     known = values[np.isfinite(values)]
     step = 1.0 if (known == np.rint(known)).all() else max(float(np.ptp(known)), 1e-9) / 60_000
     return Values(name, values, step, 2, "")
