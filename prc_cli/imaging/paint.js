@@ -159,7 +159,9 @@ function labelsByHand(about, canvas, picture) {
   };
   function cancel() {
     if (!stroke) return;
-    finish(); swap(done, []); // what the first of two fingers painted
+    const isChange = stroke.cells.length > 0;
+    finish();
+    if (isChange) swap(done, []); // what the first of two fingers painted
   }
   const actions = {
     pointerdown(event) {
