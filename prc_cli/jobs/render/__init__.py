@@ -12,7 +12,6 @@ from prc_cli.formats.input import Input
 from prc_cli.imaging.sheet import choose_columns, draw_sheet
 from prc_cli.jobs.choice import decide, decided_by
 from prc_cli.jobs.render.options import (
-    COLOURS,
     PRC_STEPS,
     SUFFIX,
     VIEWS,
@@ -116,4 +115,4 @@ def _decided(scan: Input, config: LoadedConfig, options: RenderOptions) -> Loade
     return decide(scan, config)
 
 
-__all__ = ["COLOURS", "VIEWS", "RenderOptions", "RenderResult", "render"]
+__all__ = ["VIEWS", "RenderOptions", "RenderResult", "render"]

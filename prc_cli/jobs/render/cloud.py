@@ -32,7 +32,7 @@ from prc_cli.jobs.render.colours import (
     made_with,
     vocabulary,
 )
-from prc_cli.jobs.render.options import ColourBy, RenderOptions, RenderResult
+from prc_cli.jobs.render.options import WIDEST, RenderOptions, RenderResult
 from prc_cli.jobs.render.scan import of_station
 from prc_cli.jobs.run import Progress
 
@@ -43,8 +43,7 @@ POINTS_AT_ONCE = 1 << 20
 MOST_HEIGHT = 1.5
 """Largest height of a picture, relative to its largest width."""
 _HINT = "draw the scan (leave --steps top out), or give a file that has x, y, z"
-_VALUES = ("range", "intensity", "confidence")
-"""Values that colour points, if the input has them."""
+_CODES = "classification"
 _LABELS = "labels.npy"
 """Name of the label file that is written for the picture."""
 
@@ -57,8 +56,8 @@ class Points:
     """(n, 3) float64 [m]."""
     record: I64
     """(n,) int64, record of the input; -1 = none."""
-    values: dict[str, F64]
-    """(n,) float64 by name: ``range``, ``intensity``, ``classification``, if the input has them."""
+    codes: F64 | None = None
+    """(n,) float64, class codes; None = not asked for, or the input has none."""
     n_without: int = 0
     """Number of further returns and of records outside the lines: the stream has no coordinates."""
 
@@ -98,21 +97,19 @@ class Cloud:
         """Whether the file can have class codes."""
         return self.records is not None and self.scan.is_las
 
-    def points(self, names: tuple[str, ...]) -> Iterator[Points]:
-        """Read the points, with the named values if the input has them."""
+    def points(self, *, with_codes: bool = False) -> Iterator[Points]:
+        """Read the points, with their class codes if asked for and if the file has them."""
         if self.records is None:
-            yield from self._of_stream(names)
+            yield from self._of_stream()
             return
-        present = [name for name in names if name in self.records.dimensions]
+        has_codes = with_codes and self.has_class_codes and _CODES in self.records.dimensions
+        present = (_CODES,) if has_codes else ()
         for chunk in self.records.chunks((*AXES, *present)):
             xyz = np.stack([np.asarray(chunk.values[axis], np.float64) for axis in AXES], axis=1)
-            yield Points(
-                xyz,
-                chunk.records(),
-                {name: np.asarray(chunk.values[name], np.float64) for name in present},
-            )
+            codes = np.asarray(chunk.values[_CODES], np.float64) if has_codes else None
+            yield Points(xyz, chunk.records(), codes)
 
-    def _of_stream(self, names: tuple[str, ...]) -> Iterator[Points]:
+    def _of_stream(self) -> Iterator[Points]:
         config = self.loaded.config.model_copy(update={"method": "prc"})
         stream = open_for_method(self.scan, config)
         for block in of_station(stream, self.station):
@@ -120,15 +117,9 @@ class Cloud:
                 problem = "no coordinates for a cloud: the input holds ranges, but no x, y, z"
                 raise InputError(str(self.scan), problem, _HINT)
             seen = ~np.isnan(block.range_m)
-            planes = {"range": block.range_m, "intensity": block.intensity}
-            values = {
-                name: plane[seen].astype(np.float64)
-                for name, plane in planes.items()
-                if plane is not None and name in names
-            }
             n_without = len(block.extra) + block.tally.n_unplaced
             yield Points(
-                block.xyz_m[seen].astype(np.float64), block.records()[seen], values, n_without
+                block.xyz_m[seen].astype(np.float64), block.records()[seen], n_without=n_without
             )
 
 
@@ -149,44 +140,39 @@ def draw_cloud(
         raise InputError(
             str(scan), "found no point with coordinates", "check --range and the layout"
         )
-    colour = options.colour
-    if colour is None:
-        # inputs other than LAS are scans that can be classified now
-        has_labels = options.labels is not None or options.reference is not None
-        colour = "class" if has_labels or has_classes or not cloud.has_class_codes else "height"
+    # inputs other than LAS are scans that can be classified now
+    has_labels = options.labels is not None or options.reference is not None
+    by_class = has_labels or has_classes or not cloud.has_class_codes
     words = vocabulary(options, loaded.config.classes)
     classes = None
-    if colour == "class" or options.hide:
+    if by_class:
         classes = _classes(cloud, options, words, folder, progress, has_classes=has_classes)
         classes.check(None if cloud.records is None else cloud.records.n_records)
     framed = _framed(kept, classes, words)
-    camera = FromAbove.around(framed, options.width, round(MOST_HEIGHT * options.width))
-    limits = _limits(colour, kept, scan)
+    camera = FromAbove.around(framed, WIDEST, round(MOST_HEIGHT * WIDEST))
+    limits = SCALES["height"].limits(kept[:, 2])
     width, height = camera.size
     buffer = DepthBuffer(camera, splat_for(sample.n_seen, width * height))
     counts = np.zeros(len(words.table.names), np.int64)
-    for points in cloud.points((colour,) if colour in _VALUES else ()):
+    for points in cloud.points():
         for first in range(0, len(points.xyz), POINTS_AT_ONCE):
             _add(
                 buffer,
                 points,
                 slice(first, first + POINTS_AT_ONCE),
-                colour,
                 limits,
                 words,
                 classes,
                 counts,
             )
-    n_hidden = sum(int(counts[place]) for place in words.table.hidden)
-    bar = None if colour == "class" else SCALES[colour].bar(limits)
+    bar = None if by_class else SCALES["height"].bar(limits)
     head = heading(
         scan.name,
-        _labelled(cloud, options, colour, folder, has_classes=has_classes),
+        _labelled(cloud, options, folder, has_classes=has_classes) if by_class else "",
         "from above",
-        f"{sample.n_seen - n_hidden:,} points by {colour}",
-        f"without {', '.join(options.hide)}" if options.hide else "",
+        f"{sample.n_seen:,} points by {'class' if by_class else 'height'}",
     )
-    n_out = sample.n_seen - n_hidden - buffer.n_inside
+    n_out = sample.n_seen - buffer.n_inside
     notes = [f"{n_out:,} points lie outside the picture"] if n_out else []
     if not np.ptp(kept[:, 2]):
         notes.append(
@@ -197,7 +183,6 @@ def draw_cloud(
         notes.append(
             f"{n_without:,} further returns or records that share a cell with another are not drawn"
         )
-    by_class = colour == "class"
     result = RenderResult(
         (),
         (0, 0),
@@ -231,20 +216,17 @@ def _check_options(options: RenderOptions) -> None:
 
 
 def _look(cloud: Cloud) -> tuple[Sample, bool, int]:
-    # a sample (x, y, z, range, intensity, confidence, record), whether the file has classes, and
+    # a sample (x, y, z, record), whether the file has classes, and
     # the number of points without coordinates
-    sample = Sample(7)
+    sample = Sample(4)
     has_classes = False
     n_without = 0
-    for points in cloud.points((*_VALUES, "classification") if cloud.has_class_codes else _VALUES):
-        unknown = np.full(len(points.xyz), np.nan)
-        rows = np.column_stack(
-            [points.xyz, *(points.values.get(name, unknown) for name in _VALUES), points.record]
-        )
+    for points in cloud.points(with_codes=True):
+        rows = np.column_stack([points.xyz, points.record])
         sample.add(rows[np.isfinite(points.xyz).all(axis=1)])
         n_without += points.n_without
-        if not has_classes and "classification" in points.values:
-            has_classes = bool((~np.isin(points.values["classification"], NO_CLASSES)).any())
+        if not has_classes and points.codes is not None:
+            has_classes = bool((~np.isin(points.codes, NO_CLASSES)).any())
     return sample, has_classes, n_without
 
 
@@ -259,7 +241,7 @@ def _classes(
 ) -> RecordClasses:
     # from a label file, else from the input, else by classifying it
     if options.reference is not None:
-        return words.read(options.reference, options.reference_dimension, "reference", folder)
+        return words.read(options.reference, None, "reference", folder)
     if options.labels is not None:
         return words.read(options.labels, options.labels_dimension, "predicted", folder)
     if has_classes:
@@ -271,14 +253,11 @@ def _classes(
 def _labelled(
     cloud: Cloud,
     options: RenderOptions,
-    colour: ColourBy,
     folder: Path,
     *,
     has_classes: bool,
 ) -> str:
     # source of the classes, for the headline
-    if colour != "class":
-        return ""
     if options.reference is not None:
         return f"reference {options.reference.name}"
     if options.labels is not None:
@@ -289,48 +268,29 @@ def _labelled(
 
 
 def _framed(kept: F64, classes: RecordClasses | None, words: Vocabulary) -> F64:
-    # (n, 3), points that the view must contain: not noise, not hidden
+    # (n, 3), points that the view must contain: not noise
     if classes is None:
         return kept[:, :3]
-    inside = ~np.isin(
-        classes.look_up(kept[:, -1].astype(np.int64)), sorted(words.table.hidden | words.noise)
-    )
+    inside = ~np.isin(classes.look_up(kept[:, -1].astype(np.int64)), sorted(words.noise))
     return kept[inside, :3] if inside.any() else kept[:, :3]
-
-
-def _limits(colour: ColourBy, sample: F64, scan: Input) -> Limits:
-    if colour == "class":
-        return Limits(0.0, 1.0)
-    values = sample[:, 2 if colour == "height" else 3 + _VALUES.index(colour)]
-    if not np.isfinite(values).any():
-        problem = f"the points have no {colour} to be coloured by"
-        raise InputError(str(scan), problem, "choose another colour: class, height")
-    return SCALES[colour].limits(values)
 
 
 def _add(
     buffer: DepthBuffer,
     points: Points,
     part: slice,
-    colour: ColourBy,
     limits: Limits,
     words: Vocabulary,
     classes: RecordClasses | None,
     counts: I64,
 ) -> None:
-    # hidden points are counted but not drawn
-
     xyz = points.xyz[part]
-    drawn = np.ones(len(xyz), bool)
-    if classes is not None:
-        places = words.mark_unscored(classes.look_up(points.record[part]), drawn)
-        counts += np.bincount(places, minlength=len(counts))
-        drawn = ~np.isin(places, sorted(words.table.hidden))
-        if colour == "class":
-            buffer.add(xyz[drawn], words.table.colours[places[drawn]])
-            return
-    values = xyz[:, 2] if colour == "height" else points.values[colour][part]
-    buffer.add(xyz[drawn], SCALES[colour].picture(values[drawn], limits))
+    if classes is None:
+        buffer.add(xyz, SCALES["height"].picture(xyz[:, 2], limits))
+        return
+    places = words.mark_unscored(classes.look_up(points.record[part]), np.ones(len(xyz), bool))
+    counts += np.bincount(places, minlength=len(counts))
+    buffer.add(xyz, words.table.colours[places])
 
 
 def _panel(

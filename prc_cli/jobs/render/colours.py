@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -71,25 +71,6 @@ class ClassTable:
     names: tuple[str, ...]
     colours: U8
     """(n, 3) uint8."""
-    hidden: frozenset[int] = frozenset()
-    """Indices of classes that are not drawn."""
-
-    def without(self, names: Collection[str]) -> ClassTable:
-        """Return the table with some classes hidden, if it has them.
-
-        >>> sorted(LABEL_TABLE.without(["noise"]).hidden)
-        [2]
-        """
-        return replace(
-            self, hidden=frozenset(i for i, name in enumerate(self.names) if i and name in names)
-        )
-
-    @property
-    def shown(self) -> U8:
-        """Colours in pictures of lines, (n, 3) uint8: hidden classes are white."""
-        colours = self.colours.copy()
-        colours[sorted(self.hidden)] = MISSING_COLOUR
-        return colours
 
     def colour(self, place: int) -> Colour:
         """Return the colour of a class."""
@@ -97,8 +78,8 @@ class ClassTable:
         return red, green, blue
 
     def drawn(self, counts: I64) -> list[int]:
-        """Return the classes that occur and are not hidden."""
-        return [i for i in range(1, len(self.names)) if counts[i] and i not in self.hidden]
+        """Return the classes that occur."""
+        return [i for i in range(1, len(self.names)) if counts[i]]
 
     def key(self, counts: I64) -> Key:
         """Return names, shares of the classified records, and colours of the classes that occur."""
@@ -271,12 +252,7 @@ def vocabulary(options: RenderOptions, codes: ClassCodes) -> Vocabulary:
     table = ClassTable(
         (LABEL_NAMES[Label.MISSING], *names, NOT_SCORED), np.array(colours, np.uint8)
     )
-    for name in options.hide:
-        if name not in table.names[1:]:
-            raise ConfigError(
-                "hide", f"found {name!r}, expected classes: {', '.join(table.names[1:])}"
-            )
-    return Vocabulary(table.without(options.hide), mapping, codes)
+    return Vocabulary(table, mapping, codes)
 
 
 _HINT = "give the labels of this very file, in its order of records"

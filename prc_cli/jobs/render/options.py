@@ -11,9 +11,9 @@ from prc_cli.core.errors import ConfigError
 
 View: TypeAlias = Literal["scan", "top"]
 VIEWS: tuple[View, ...] = ("scan", "top")
-ColourBy: TypeAlias = Literal["class", "range", "height", "intensity", "confidence"]
-COLOURS: tuple[ColourBy, ...] = ("class", "range", "height", "intensity", "confidence")
 SUFFIX = ".png"
+WIDEST = 2200
+"""Widest picture without frame [pixels]."""
 
 PRC_STEPS = (
     "support",
@@ -68,15 +68,8 @@ class RenderOptions:
     labels_dimension: str | None = None
     reference: Path | None = None
     """Class codes to compare with."""
-    reference_dimension: str | None = None
     mapping: str | Path | None = None
     """Classes of the codes on either side; None = the codes of ``[classes]`` on both."""
-    colour: ColourBy | None = None
-    """Value that colours a cloud; None = class if available, else height."""
-    hide: tuple[str, ...] = ()
-    """Names of classes that are not drawn."""
-    width: int = 2200
-    """Widest picture without frame [pixels]."""
     shots: int = 1_500_000
     """Most shots of a viewer page; of longer scans every n-th line and column is kept."""
     trajectory: Path | None = None

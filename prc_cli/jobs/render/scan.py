@@ -43,7 +43,7 @@ from prc_cli.jobs.render.colours import (
     thinned,
     vocabulary,
 )
-from prc_cli.jobs.render.options import PRC_STEPS, TITLES, RenderOptions, choose_steps
+from prc_cli.jobs.render.options import PRC_STEPS, TITLES, WIDEST, RenderOptions, choose_steps
 from prc_cli.jobs.run import Progress
 from prc_cli.methods.base import MethodParams, OneByOne, Wanted
 from prc_cli.methods.prc.pipeline import (
@@ -277,9 +277,7 @@ def draw_scan(
             options.labels, options.labels_dimension, "predicted", folder
         )
     if options.reference is not None:
-        sides["reference"] = words.read(
-            options.reference, options.reference_dimension, "reference", folder
-        )
+        sides["reference"] = words.read(options.reference, None, "reference", folder)
     for classes in sides.values():
         classes.check(stream.info.n_records)
     part = choose_part(options, loaded, stream)
@@ -287,7 +285,7 @@ def draw_scan(
     if first is None:
         raise InputError(str(scan), "found no scan lines, expected at least one")
     layout = _choose_layout(first, part, len(steps), options)
-    table = words.table if "predicted" in sides else LABEL_TABLE.without(options.hide)
+    table = words.table if "predicted" in sides else LABEL_TABLE
     sheet = _Sheet(part, layout, steps, words, table, first.beam_rad, turns(first))
     classify = "predicted" not in sides and bool(set(steps) - NOT_LABELLED)
     info = stream.info
@@ -365,7 +363,7 @@ def _choose_layout(
 ) -> _Layout:
     n = part.stop - part.first
     m = first.points_per_line
-    width = options.width
+    width = WIDEST
     if upright(first.beam_rad) is not None and not options.figure1:
         return _Layout("upright", -(-n // width), -(-m // UPRIGHT_HEIGHT))
     if options.figure1 or n <= m:
@@ -494,7 +492,7 @@ class _Sheet:
     ) -> tuple[U8, Bar | None]:
         # the (lines, columns, 3) picture of some of the drawn lines, and its colour bar
         if step == "difference":
-            table = self.words.table.shown
+            table = self.words.table.colours
             unscored = self.words.unscored
             return difference_picture(
                 planes["predicted"], planes["reference"], table, unscored
@@ -503,7 +501,7 @@ class _Sheet:
         if step in SCALES:
             return SCALES[step].picture(plane, scales[step]), SCALES[step].bar(scales[step])
         if step in self.tables:
-            picture: U8 = self.tables[step].shown[plane]
+            picture: U8 = self.tables[step].colours[plane]
             return picture, None
         return (mask_picture if step in ("support", "background") else segment_picture)(plane), None
 
@@ -605,5 +603,4 @@ def describe(
         lines,
         f"{step} drawn" if step else "",
         part.scanner,
-        f"without {', '.join(options.hide)}" if options.hide else "",
     )

@@ -353,7 +353,7 @@ def _shots(
             "--only A:B shows a part of them in full."
         )
     order = upright(beam_rad)
-    left_out = sorted(words.table.hidden | words.noise)
+    left_out = sorted(words.noise)
     shots = Shots(
         classes,
         range_m,
