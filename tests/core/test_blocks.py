@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -99,33 +98,3 @@ def test_any_cut_gives_the_same_blocks(
     blocks = list(regroup(iter(parts), k))
     check(blocks, whole, k)
     assert sum((block.tally for block in blocks), ReadTally()) == ReadTally(n_collisions=len(parts))
-
-
-@pytest.mark.parametrize("k", [1, 4, 10])
-def test_scanners_do_not_mix(k: int) -> None:
-    wholes = {1: stream(23, 5, scanner=1), 7: stream(9, 3, scanner=7)}
-    parts = {scanner: list(pieces(whole, [2, 3])) for scanner, whole in wholes.items()}
-    mixed: list[ScanBlock] = []
-    for i in range(max(len(of) for of in parts.values())):
-        mixed += [of[i] for of in parts.values() if i < len(of)]
-    blocks = list(regroup(iter(mixed), k))
-    for scanner, whole in wholes.items():
-        check([block for block in blocks if block.scanner == scanner], whole, k)
-    assert sum((block.tally for block in blocks), ReadTally()).n_collisions == len(mixed)
-
-
-def test_blocks_leave_as_soon_as_they_can() -> None:
-    """What waits is a block and its look-ahead: the memory of a stream without end."""
-    taken = 0
-
-    def endless() -> Iterator[ScanBlock]:
-        nonlocal taken
-        for part in pieces(stream(1000, 4), [1]):
-            taken += 1
-            yield part
-
-    blocks = regroup(endless(), 10)
-    next(blocks)
-    assert taken == 10 + look_ahead_lines(4)
-    next(blocks)
-    assert taken == 20 + look_ahead_lines(4)

@@ -10,15 +10,12 @@ import pytest
 from prc_cli.core.classes import (
     FURTHER_RETURN,
     LABEL_COLOURS,
-    LABEL_NAMES,
     LABELS_BY_REASON,
     REASONS_OF_LABELS,
     VOTED,
     ClassCodes,
     Label,
     Reason,
-    count_bytes,
-    recode,
 )
 from prc_cli.core.types import F64
 
@@ -31,36 +28,6 @@ def test_default_codes_are_those_of_the_product() -> None:
         label.name.lower(): codes.code(label) for label in Label if label is not Label.MISSING
     } == expected
     assert codes.code(Label.MISSING) == 0
-
-
-def test_lookup_and_names_follow_the_table() -> None:
-    codes = ClassCodes(building=5)
-    table = codes.lookup()
-    assert table.dtype == np.uint8
-    assert [int(table[label]) for label in Label] == [codes.code(label) for label in Label]
-    assert codes.names()[5] == "building/vegetation"
-    assert len(LABEL_NAMES) == len(Label) == len(LABEL_COLOURS)
-    assert len(set(LABEL_COLOURS.values())) == len(Label)
-
-
-@pytest.mark.parametrize("top", [5, 16, 255])
-@pytest.mark.parametrize("shape", [(0,), (4095,), (100, 99)])
-def test_counts_are_those_of_bincount(shape: tuple[int, ...], top: int) -> None:
-    values = np.random.default_rng(top).integers(0, top, shape, endpoint=True).astype(np.uint8)
-    for array in (values, np.full(shape, top, np.uint8), values[::2]):
-        np.testing.assert_array_equal(count_bytes(array), np.bincount(array.ravel(), minlength=256))
-
-
-@pytest.mark.parametrize("shape", [(0,), (0, 5), (1,), (30, 40)])
-def test_values_are_looked_up(shape: tuple[int, ...]) -> None:
-    rng = np.random.default_rng(1)
-    values = rng.integers(0, 256, shape).astype(np.uint8)
-    table = rng.integers(0, 256, 256).astype(np.uint8)
-    for array in (values, values[::-1], np.asfortranarray(values)):
-        codes = recode(array, table)
-        np.testing.assert_array_equal(codes, table[array])
-        assert codes.flags.writeable
-        assert not np.shares_memory(codes, array)
 
 
 EVERYWHERE = (Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION)

@@ -14,9 +14,7 @@ import pytest
 
 import prc_cli
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.findings import Finding, Verdict
-from prc_cli.core.hints import fitting, fitting_finding, named_keys
-from prc_cli.formats.input import Input
+from prc_cli.core.hints import fitting, named_keys
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.open import open_input
 from tests.formats.bags import recordings as made
@@ -136,27 +134,3 @@ def test_no_hint_names_what_the_input_refuses(tmp_path: Path, name: str) -> None
     assert len(hints_of_the_program()) > 20
     for hint in hints_of_the_program():
         assert not named_keys(fitting(hint, refuses)) & refuses
-
-
-def test_a_hint_keeps_the_parts_that_can_be_typed() -> None:
-    finding = Finding(
-        "ranges",
-        Verdict.AGAINST,
-        "",
-        "",
-        "if so: --set input.range_scale=0.001; else check --range",
-        "",
-    )
-    assert fitting_finding(finding, {"range"}).hint == "if so: --set input.range_scale=0.001"
-    assert fitting_finding(finding, {"range_scale"}).hint == "check --range"
-    assert (
-        fitting_finding(finding, {"range_scale", "range"}, "export it again").hint
-        == "export it again"
-    )
-
-
-def test_a_bag_in_millimetres_is_read_with_the_scale_that_is_offered(tmp_path: Path) -> None:
-    path = make_sample(tmp_path, "cloud.bag")
-    whole = next(open_input(Input.of(path), InputConfig()).blocks())
-    scaled = next(open_input(Input.of(path), InputConfig(range_scale=0.5)).blocks())
-    np.testing.assert_allclose(scaled.range_m, whole.range_m * np.float32(0.5), rtol=1e-6)

@@ -5,15 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from prc_cli.core.facts import SourceFacts
-from prc_cli.formats.clock import PERIODS_S, Unwrapped, unit_of, with_clock
+from prc_cli.formats.clock import PERIODS_S, with_clock
 from prc_cli.formats.records import Reading, RecordChunk
-from prc_cli.streams.trajectory import load_trajectory
 
 
 @dataclass
@@ -56,13 +54,6 @@ def test_a_clock_that_begins_anew_counts_on(period_s: float) -> None:
     assert "starts again" in notes[0]
 
 
-def test_a_recording_that_is_appended_to_another_is_no_border() -> None:
-    times = np.concatenate([5000.0 + np.arange(2000) * 1e-4, 1000.0 + np.arange(2000) * 1e-4])
-    seconds, notes = read_times(Times(times))
-    np.testing.assert_array_equal(seconds, times)
-    assert not notes
-
-
 @pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
 def test_large_times_are_in_the_unit_that_makes_them_seconds(unit: str, factor: float) -> None:
     seconds = 1.7e9 + np.arange(4000) * 1.25e-5
@@ -71,27 +62,3 @@ def test_large_times_are_in_the_unit_that_makes_them_seconds(unit: str, factor: 
     assert notes == (f"the times are in {unit} (input.time_unit)",)
     converted, _ = read_times(Times(seconds * factor), unit)
     np.testing.assert_allclose(converted, seconds, atol=1e-3)
-
-
-def test_seconds_and_numbers_of_records_stay() -> None:
-    assert unit_of(np.arange(3000.0)) == "s"
-    assert unit_of(1e5 + np.repeat(np.arange(60.0), 100)) == "s"
-    assert unit_of(np.rint(np.arange(3000.0) * 12_500)) == "ns"
-
-
-def test_trajectories_have_other_units_and_begin_anew_as_well(tmp_path: Path) -> None:
-    path = tmp_path / "way.csv"
-    rows = [f"{(3595 + t) % 3600},{t},0,1" for t in range(10)]
-    path.write_text("time,x,y,z\n" + "\n".join(rows))
-    track = load_trajectory(path, crs=None, source_crs_wkt=None, time_offset=0.0)
-    np.testing.assert_array_equal(track.time_s, 3595.0 + np.arange(10))
-    path.write_text(
-        "time,x,y,z\n" + "\n".join(f"{(1_700_000_000 + t) * 10**9},{t},0,1" for t in range(10))
-    )
-    track = load_trajectory(path, crs=None, source_crs_wkt=None, time_offset=0.0)
-    np.testing.assert_array_equal(track.time_s, 1.7e9 + np.arange(10))
-
-
-def test_times_are_the_same_array_where_nothing_is_done() -> None:
-    times = np.arange(5.0)
-    assert Unwrapped().put(times) is times

@@ -63,20 +63,6 @@ def test_a_bag_of_several_files_is_its_metadata(tmp_path: Path) -> None:
         Input.of(bag).check()
 
 
-@pytest.mark.parametrize(
-    ("name", "output", "keeps"),
-    [
-        ("a.las", "b.laz", True),
-        ("a.ply", "b.pcd", True),
-        ("a.ply", "b.las", False),
-        ("a.csv", "b.csv", False),
-        ("a.laz", "b.npy", False),
-    ],
-)
-def test_outputs_of_one_kind_keep_the_points(name: str, output: str, keeps: bool) -> None:
-    assert Input.of(name).keeps_points(Path(output)) is keeps
-
-
 def test_the_layout_beside_a_dump_is_the_lowest_layer(tmp_path: Path) -> None:
     dump = tmp_path / "a.bin"
     dump.write_bytes(bytes(64))

@@ -22,7 +22,6 @@ from prc_cli.formats.ranges import choose_returns, clean_ranges, continues_run, 
 from prc_cli.formats.raw_binary.read import RawBinarySource
 from prc_cli.formats.records import Source
 from prc_cli.formats.text.read import TextSource
-from tests.streams.record_lists import open_records, read
 
 
 def layout(*fields: dict[str, Any], **keys: Any) -> Layout:
@@ -142,21 +141,6 @@ def test_every_reason_is_counted_once() -> None:
     assert tally == ReadTally(n_not_finite=2, n_not_positive=3, n_beyond=3)
 
 
-def test_bounds_are_judged_the_same_for_float32_float64_and_integers() -> None:
-    rng = np.random.default_rng(1)
-    millimetres = rng.integers(0, 40_000, 5_000)
-    exact = millimetres / 1000.0
-    for bound in (30.1, 17.003, 0.007):
-        narrow, tally_narrow = clean_ranges(exact.astype(np.float32), bound, bound + 2.3)
-        wide, tally_wide = clean_ranges(exact, bound, bound + 2.3)
-        np.testing.assert_array_equal(narrow, wide)
-        assert tally_narrow == tally_wide
-    whole, _ = clean_ranges(millimetres, 5.0, 30_000.0)
-    np.testing.assert_array_equal(
-        whole, clean_ranges(millimetres.astype(np.float64), 5.0, 30_000.0)[0]
-    )
-
-
 NAN = np.nan
 
 
@@ -167,21 +151,6 @@ def shots(
     continues = continues_run((np.array(time),), np.array(number_of_returns))
     starts = mark_shots(continues, None if return_number is None else np.array(return_number))
     return [int(i) for i in np.cumsum(starts)]
-
-
-@pytest.mark.parametrize(
-    ("numbers", "expected"),
-    [
-        ([1, 2, 3, 1, 2, 3], [1, 1, 1, 2, 2, 2]),
-        ([3, 2, 1, 3, 2, 1], [1, 1, 1, 2, 2, 2]),  # last return first
-        ([1, 2, 2, 1, 2, 3], [1, 1, 2, 3, 3, 3]),  # filtered: returns were dropped
-        ([1, 1, 1, 1, 1, 1], [1, 2, 3, 4, 5, 6]),
-    ],
-)
-def test_return_numbers_tell_shots_of_one_stamp_apart(
-    numbers: list[int], expected: list[int]
-) -> None:
-    assert shots([5.0] * 6, [3] * 6, numbers) == expected
 
 
 def choose(
@@ -202,29 +171,6 @@ def choose(
     return [int(i) for i in np.flatnonzero(chosen[:3])]
 
 
-@pytest.mark.parametrize(
-    ("rule", "intensity", "number", "expected"),
-    [
-        ("strongest", [1, 7, 3], [1, 2, 3], 1),
-        ("strongest", [7, 7, 3], [1, 2, 3], 0),
-        ("strongest", [NAN, 0, -5], [1, 2, 3], 1),
-        ("strongest", [NAN, NAN, NAN], [1, 2, 3], 0),
-        ("strongest", None, [3, 1, 2], 1),
-        ("first", [1, 7, 3], [2, 3, 1], 2),
-        ("first", [1, 7, 3], None, 0),
-        ("last", [1, 7, 3], [2, 3, 1], 1),
-        ("last", None, None, 2),
-    ],
-)
-def test_the_return_that_stands(
-    rule: str,
-    intensity: list[float] | None,
-    number: list[int] | None,
-    expected: int,
-) -> None:
-    assert choose(rule, [5, 6, 7], intensity, number) == [expected]
-
-
 def forest() -> dict[str, NDArray[Any]]:
     """Two lines of three shots: of 1, 3 and 2 returns, then of 2, 1, 1."""
     return {
@@ -235,35 +181,6 @@ def forest() -> dict[str, NDArray[Any]]:
         "return_number": np.array([1, 1, 2, 3, 1, 2, 1, 2, 1, 1], np.uint8),
         "intensity": np.array([9, 1, 8, 2, 5, 4, 3, 6, 9, 9], np.uint16),
     }
-
-
-@pytest.mark.parametrize("chunk_records", [1, 3])
-@pytest.mark.parametrize(
-    ("rule", "standing"),
-    [
-        ("strongest", [[0, 2, 4], [7, 8, 9]]),
-        ("first", [[0, 1, 4], [6, 8, 9]]),
-        ("last", [[0, 3, 5], [7, 8, 9]]),
-    ],
-)
-@pytest.mark.parametrize("columns", ["order", "time:1", "dimension:column"])
-def test_one_return_a_shot_in_the_image(
-    rule: str,
-    standing: list[list[int]],
-    columns: str,
-    chunk_records: int,
-) -> None:
-    records = forest()
-    records["column"] = np.array([0, 1, 1, 1, 2, 2, 0, 0, 1, 2])
-    whole = read(open_records(records, chunk_records, columns=columns, return_=rule))
-    assert whole.record.tolist() == standing
-    assert whole.range_m.tolist() == [[records["range"][i] for i in line] for line in standing]
-    others = sorted(set(range(10)) - {i for line in standing for i in line})
-    assert [item[3] for item in whole.extras] == others
-    for line, column, range_m, record in whole.extras:
-        assert (line, column) == (records["scan_line"][record], records["column"][record])
-        assert range_m == records["range"][record]
-    assert whole.tally == ReadTally(n_extra_returns=4)
 
 
 def _frame(n_fields: int) -> np.ndarray:

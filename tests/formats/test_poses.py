@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from prc_cli.cli import cli
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.formats.trajectory import is_tum, read_poses, read_tum
+from prc_cli.formats.trajectory import is_tum, read_poses
 from prc_cli.streams.trajectory import load_trajectory
 from tests.formats.bags import recordings as made
 from tests.fuzz.seeds import seed
@@ -66,21 +66,6 @@ def odometry(
             message = types[kind](head, "base_link", with_covariance, twist)
         sent.append(made.Sent(topic, kind, time_ns, message))
     return sent
-
-
-def test_tum_and_bags_hold_the_same_poses(tmp_path: Path) -> None:
-    rows = poses()
-    time_s, xyz_m, quaternion = read_tum(tum(tmp_path / "a.txt", rows))
-    np.testing.assert_allclose(np.column_stack([time_s, xyz_m, quaternion]), rows, atol=1e-8)
-    bags = [
-        made.write_bag(tmp_path / "a.bag", [*odometry(rows, version=1), *made.lasers(1)]),
-        made.write_db3(tmp_path / "a.db3", [*odometry(rows), *made.lasers(2)]),
-        made.write_mcap(tmp_path / "a.mcap", odometry(rows, kind="geometry_msgs/msg/PoseStamped")),
-    ]
-    for path in bags:
-        time_s, xyz_m, quaternion = read_poses(path, None)
-        np.testing.assert_allclose(time_s, rows[:, 0] + 1, atol=1e-8)
-        np.testing.assert_allclose(np.column_stack([xyz_m, quaternion]), rows[:, 1:], atol=1e-12)
 
 
 def test_ranges_through_the_command_line_are_those_of_a_csv(tmp_path: Path) -> None:

@@ -112,28 +112,6 @@ def test_how_the_text_is_written_changes_nothing(tmp_path: Path) -> None:
             assert equal(block.intensity, scan.intensity), name  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("shots", [1, 7, 13, 50])
-@pytest.mark.parametrize("text_bytes", [70, 333])
-def test_chunks_change_nothing(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    shots: int,
-    text_bytes: int,
-) -> None:
-    path = write_text(
-        tmp_path / "a.ptx",
-        ptx_scan(grid_points(8, 6), rotation=turn_x(20)) + ptx_scan(grid_points(3, 9)),
-    )
-    whole = scans_of(PtxStream(path, AUTO))
-    monkeypatch.setattr("prc_cli.formats.organised.scans.CHUNK_SHOTS", shots)
-    monkeypatch.setattr(ptx, "BLOCK_BYTES", text_bytes)
-    for block, whole_block in zip(scans_of(PtxStream(path, AUTO)), whole, strict=True):
-        assert equal(block.range_m, whole_block.range_m)
-        assert equal(block.xyz_m, whole_block.xyz_m)  # type: ignore[arg-type]
-        assert equal(block.record, whole_block.record)  # type: ignore[arg-type]
-        assert block.tally == whole_block.tally
-
-
 def test_a_last_column_cut_short_is_padded_if_told(tmp_path: Path) -> None:
     points = grid_points(4, 5, missing=0)
     text = ptx_header(4, 5) + ptx_rows(points.reshape(-1, 4)[:18])
@@ -271,13 +249,6 @@ def test_memory_does_not_grow_with_the_file(
 
 
 ECHOES = "echo-float32-range.bin"
-
-
-def test_the_folder_names_the_file_to_give(tmp_path: Path) -> None:
-    pulse_folder(tmp_path / "p")
-    scan = Input.of(tmp_path / "p")
-    assert scan.path == tmp_path / "p" / "pulse-uint8-n_echo.bin"
-    scan.check()
 
 
 def test_a_shot_without_return_that_meets_another_is_no_return(

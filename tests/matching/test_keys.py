@@ -22,7 +22,6 @@ from prc_cli.matching.join import (
     Joined,
     JoinTally,
     UnsortedError,
-    in_step,
     merge_join,
 )
 from prc_cli.matching.keys import MutualKeys, NearestLabel
@@ -115,15 +114,6 @@ def test_keys_return_numbers_and_classes(
         )
     pairs = join_by_key(cut(sides[0], seed), cut(sides[1], seed + 1), 0.1, JoinTally())
     assert pairs_of(pairs) == by_hand(sides[0], sides[1], 0.1)
-
-
-def test_a_removed_record_does_not_take_its_neighbours_partner() -> None:
-    key = np.arange(1000) * 1e-6
-    kept = np.arange(1000) % 5 > 0
-    left = {KEY: key, "id": np.arange(1000)}
-    right = {KEY: key[kept] + 2e-7, "id": np.flatnonzero(kept)}
-    pairs = pairs_of(join_by_key(cut(left, 0, 90), cut(right, 1, 90), 6e-7, JoinTally()))
-    assert pairs == {(int(k), int(k)) for k in np.flatnonzero(kept)}
 
 
 def chunked(
@@ -267,65 +257,11 @@ def test_memory_does_not_grow_with_the_streams() -> None:
     assert peak(2_000_000) < 1.2 * peak(400_000)
 
 
-def test_distances_are_counted_by_decades_and_the_largest_of_a_pair_is_kept() -> None:
-    tally = JoinTally()
-    tally.add_distances(np.array([0.3, 5.0, 0.002, np.inf]), np.array([True, False, True, False]))
-    tally.add_distances(
-        np.array([0.1, 1e-9, 1e6, 1.1e6, 0.01]), np.array([True, False, False, False, False])
-    )
-    assert tally.largest == 0.3
-    decades = {place - 9: n for place, n in enumerate(tally.distances.tolist()) if n}
-    # a distance of just a power of ten belongs to it; far beyond, and without any right record,
-    # comes last
-    assert decades == {1: 1, 7: 2, -9: 1, 6: 1, -2: 1}
-
-
-def test_how_near_most_of_the_records_without_partner_have_one() -> None:
-    tally = JoinTally()
-    assert tally.near() is None
-    tally.add_distances(np.array([0.05, 0.5, 5.0, 50.0]), np.zeros(4, np.bool_))
-    assert [tally.near(share) for share in (0.25, 0.26, 0.5, 0.51, 1.0)] == [
-        0.1,
-        1.0,
-        1.0,
-        10.0,
-        100.0,
-    ]
-    assert tally.near() == 1.0
-    tally.add_distances(np.full(5, np.inf), np.zeros(5, np.bool_))
-    assert tally.near() is None
-
-
-def test_streams_walk_in_equal_steps_however_they_are_chunked() -> None:
-    values = np.arange(100, dtype=np.int64)
-    seen: list[list[int]] = []
-    streams = [
-        ({"a": part} for part in np.split(values, cuts))
-        for cuts in ([1, 1, 30, 31, 90], [7, 50, 50])
-    ]
-    steps = list(in_step(streams, lambda n: seen.append(list(n))))
-    for side in (0, 1):
-        assert np.array_equal(np.concatenate([step[side]["a"] for step in steps]), values)
-    assert seen == [[100, 100]]
-
-
-@pytest.mark.parametrize(("n_left", "n_right"), [(0, 3), (3, 0), (5, 3), (3, 9)])
-def test_lengths_that_differ_are_counted_to_the_end(n_left: int, n_right: int) -> None:
-    seen: list[list[int]] = []
-    streams = [({"a": np.zeros(1)} for _ in range(n)) for n in (n_left, n_right)]
-    assert len(list(in_step(streams, lambda n: seen.append(list(n))))) == min(n_left, n_right)
-    assert seen == [[n_left, n_right]]
-
-
 def fill(folder: Path, *names: str) -> Path:
     folder.mkdir()
     for name in names:
         (folder / name).touch()
     return folder
-
-
-def test_two_files_are_a_pair_whatever_their_names(tmp_path: Path) -> None:
-    assert pair_files(Path("a.npy"), Path("b.las")) == ((Path("a.npy"), Path("b.las")),)
 
 
 def test_folders_pair_by_name_without_suffix(tmp_path: Path) -> None:

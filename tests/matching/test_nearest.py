@@ -56,17 +56,6 @@ def test_every_point_comes_once_with_its_nearest_one(
     assert (tally.n_left, tally.n_pairs, tally.n_right) == (n, int((expected >= 0).sum()), used)
 
 
-def test_a_cell_of_too_many_points_is_cut() -> None:
-    left = points(5000, 3, 2.0)
-    boxes = tiles_of(cloud(left), cloud(left), 500)
-    assert len(boxes) > 20
-    inside = [
-        (left[:, 0] >= a) & (left[:, 0] < c) & (left[:, 1] >= b) & (left[:, 1] < d)
-        for a, b, c, d in boxes
-    ]
-    assert np.array_equal(np.sum(inside, axis=0), np.ones(len(left)))
-
-
 def test_of_points_as_near_the_one_of_the_nearest_time_is_taken() -> None:
     here = np.zeros((1, 3))
     right = np.array([[0.1, 0, 0], [0.1, 0, 0], [-0.1, 0, 0]])
@@ -128,11 +117,6 @@ def quarters(xyz: F64) -> Cloud:
     )  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_no_shift_is_named_where_there_is_none(seed: int) -> None:
-    assert shift_of(quarters(street(seed)), quarters(registered(street(seed + 100), seed))) is None
-
-
 @pytest.mark.parametrize(
     "shift",
     [(0.0, 0.12, 0.0), (0.0, 0.0, -0.1), (0.2, 0.3, 0.1), (1.0, 0.0, 0.0), (3.0, -2.0, 0.5)],
@@ -141,15 +125,6 @@ def test_a_shift_is_measured(shift: tuple[float, ...]) -> None:
     measured = shift_of(quarters(street(1)), quarters(registered(street(2), 5) + shift))
     assert measured is not None
     np.testing.assert_allclose(measured, shift, atol=0.03)
-
-
-def test_what_no_plane_faces_is_not_named() -> None:
-    left, right = (
-        np.random.default_rng(seed).uniform(0, 1, (40_000, 3)) * [80, 20, 0.01] for seed in (0, 1)
-    )
-    measured = shift_of(quarters(left), quarters(right + np.array([0.3, 0.3, 0.2])))
-    assert measured is not None
-    np.testing.assert_allclose(measured, (0, 0, 0.2), atol=0.01)
 
 
 @pytest.mark.parametrize("tolerance", [1e8, 1e300])

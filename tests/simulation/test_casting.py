@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from prc_cli.core.classes import Label
 from prc_cli.core.types import F64
 from prc_cli.simulation.scanners import SCANNERS, Scanner
-from prc_cli.simulation.sensor import Measured, cast, goes_behind, scan
+from prc_cli.simulation.sensor import Measured, cast, scan
 from prc_cli.simulation.thresholds import Hits
 from prc_cli.simulation.world import Bodies, Material, Shape
 
@@ -231,26 +230,6 @@ def step(scanner: Scanner, far: float = 30.0) -> Measured:
     )
 
 
-def test_a_pulse_gives_two_returns_of_a_wide_step_and_a_mixture_of_a_narrow_one() -> None:
-    wide = step(PULSED)
-    width = 0.0033 + 0.00016 * 20.0
-    apart = PULSED.step_rad * 20.0
-    assert set(wide.extra_column) == {39, 40, 59, 60}
-    assert len(wide.extra_line) == pytest.approx(4 * 20_000 * 0.5 * width / apart, rel=0.05)
-    np.testing.assert_allclose(wide.extra_range_m, 30.0, atol=0.2)  # some of these echoes are weak
-    np.testing.assert_allclose(wide.range_m[wide.extra_line, wide.extra_column], 20.0, atol=0.2)
-    assert (wide.extra_label == Label.BUILDING).all()
-    assert (wide.label[wide.extra_line, wide.extra_column] == Label.POLE).all()
-    assert not (wide.label == Label.NOISE).any()
-    order = wide.extra_line.astype(np.int64) * 100 + wide.extra_column
-    assert (np.diff(order) > 0).all()
-    narrow = step(PULSED, far=20.4)
-    assert len(narrow.extra_line) == 0
-    mixed = narrow.label == Label.NOISE
-    assert mixed.any()
-    assert ((narrow.range_m[mixed] > 20.04) & (narrow.range_m[mixed] < 20.36)).all()
-
-
 def street(rng: np.random.Generator, lines: int, columns: int) -> tuple[Hits, Bodies]:
     """Runs of all materials and sky."""
     bodies = sensor_world(
@@ -265,53 +244,6 @@ def street(rng: np.random.Generator, lines: int, columns: int) -> tuple[Hits, Bo
         body >= 0, t + np.where(body == 2, rng.exponential(0.5, (lines, columns)), 0.0), np.inf
     )
     return Hits(t, body, rng.random((lines, columns))), bodies
-
-
-@pytest.mark.parametrize("name", sorted(SCANNERS))
-def test_result_depends_on_line_and_seed_alone(name: str) -> None:
-    scanner = SCANNERS[name]
-    rng = np.random.default_rng(3)
-    seen, bodies = street(rng, 12, scanner.points_per_line)
-    asked = goes_behind(seen, bodies, scanner, 5, SEED)
-    behind = Hits(
-        np.where(asked, seen.t + 2.0, np.inf), np.where(asked, 0, -1).astype(np.int32), seen.facing
-    )
-    whole = scan(seen, bodies, scanner, 5, SEED, behind)
-    for first, stop in pairwise((0, 1, 7, 12)):
-        part = scan(
-            lines_of(seen, first, stop),
-            bodies,
-            scanner,
-            5 + first,
-            SEED,
-            lines_of(behind, first, stop),
-        )
-        np.testing.assert_array_equal(part.range_m, whole.range_m[first:stop])
-        np.testing.assert_array_equal(part.label, whole.label[first:stop])
-        np.testing.assert_array_equal(part.intensity, whole.intensity[first:stop])
-        mine = (whole.extra_line >= first) & (whole.extra_line < stop)
-        np.testing.assert_array_equal(part.extra_line + first, whole.extra_line[mine])
-        np.testing.assert_array_equal(part.extra_column, whole.extra_column[mine])
-        np.testing.assert_array_equal(part.extra_range_m, whole.extra_range_m[mine])
-        np.testing.assert_array_equal(part.extra_label, whole.extra_label[mine])
-        np.testing.assert_array_equal(part.extra_intensity, whole.extra_intensity[mine])
-    reseeded = scan(seen, bodies, scanner, 5, SEED + 1, behind)
-    assert (reseeded.range_m != whole.range_m).mean() > 0.5
-
-
-@pytest.mark.parametrize("name", sorted(SCANNERS))
-def test_ranges_labels_and_intensities_go_together(name: str) -> None:
-    scanner = SCANNERS[name]
-    seen, bodies = street(np.random.default_rng(4), 12, scanner.points_per_line)
-    measured = scan(seen, bodies, scanner, 0, SEED)
-    is_return = np.isfinite(measured.range_m)
-    np.testing.assert_array_equal(is_return, measured.label != Label.MISSING)
-    np.testing.assert_array_equal(is_return, measured.intensity > 0)
-    assert (measured.range_m[is_return] > 0).all()
-    assert 0.4 < is_return.mean() < 0.95
-    assert np.isfinite(measured.extra_range_m).all()
-    if scanner.max_returns == 1:
-        assert len(measured.extra_line) == 0
 
 
 def test_the_loop_reads_the_labels_that_are_meant() -> None:

@@ -158,14 +158,6 @@ def around(
     return scene.bodies_near(x, y, radius, time_s)
 
 
-@pytest.mark.parametrize("s", [-700.0, 0.0, 12_345.6, 1e6])
-def test_nearest_finds_the_place_again(s: float) -> None:
-    line = StreetScene(seed=5).line
-    for d in (-30.0, 0.0, 45.0):
-        x, y = line.place(np.array([s]), np.array([d]))[0].tolist()
-        assert line.nearest(x, y) == pytest.approx(s, abs=0.8)
-
-
 def test_the_same_bodies_whatever_the_circle_and_the_way_there() -> None:
     whole = StreetScene(seed=11)
     two = StreetScene(seed=11)

@@ -22,49 +22,6 @@ def options(**more: object) -> dict[str, object]:
     return {"scanner": COARSE, "duration_s": 0.25, "seed": 5, **more}
 
 
-def test_a_line_is_one_firing_of_all_rings() -> None:
-    scan = open_simulation("street", load_settings("street", options=options()), with_xyz=True).scan
-    blocks = list(scan.labelled_blocks(60))
-    assert [block.block.range_m.shape for block in blocks] == [(60, 32)] * 5
-    block = blocks[1].block
-    assert block.xyz_m is not None
-    assert np.rad2deg(block.angle_rad)[[0, -1]] == pytest.approx([65.0, 105.0])
-    seen = ~np.isnan(block.range_m)
-    xyz = block.xyz_m.astype(np.float64)
-    elevation = np.rad2deg(np.arctan2(xyz[..., 2], np.hypot(xyz[..., 0], xyz[..., 1])))
-    rings = np.broadcast_to(SCANNERS["vlp-32c"].elevations_deg, elevation.shape)
-    assert np.abs(elevation - rings)[seen].max() < 1e-3
-    azimuth = np.rad2deg(np.arctan2(xyz[..., 1], xyz[..., 0])) % 360.0
-    # rings that look ahead have an earlier firing, and the head turns while the rings fire
-    scanner = scan.scanner
-    line = np.arange(60, 120)[:, None] + scanner.late_lines + 2 / 3 * np.arange(32) / 32
-    expected = 3.0 * line + np.array(scanner.azimuths_deg)
-    assert np.abs((azimuth - expected + 180.0) % 360.0 - 180.0)[seen].max() < 1e-3
-    ground = seen & (blocks[1].labels == Label.GROUND)
-    assert np.median(xyz[..., 2][ground]) == pytest.approx(-1.9, abs=0.15)
-
-
-def test_rings_of_a_line_look_one_way_though_they_are_staggered() -> None:
-    fine = options(scanner={"name": "vlp-32c", "azimuth_step_deg": 0.2}, lines=100)
-    block = next(
-        iter(
-            open_simulation(
-                "street", load_settings("street", options=fine), with_xyz=True
-            ).scan.blocks()
-        )
-    )
-    assert block.xyz_m is not None
-    assert block.time_s is not None
-    azimuth = np.rad2deg(np.arctan2(block.xyz_m[..., 1], block.xyz_m[..., 0]))
-    assert np.nanmax(np.abs(azimuth - np.nanmedian(azimuth, axis=1, keepdims=True))) < 0.2 * 2 / 3
-    # the ring that looks 4.2 degrees back fires 42 firings of 0.2 degrees after the one that looks
-    # as far ahead
-    late = np.array(SCANNERS["vlp-32c"].azimuths_deg)
-    shot_s = np.arange(32) * SCANNERS["vlp-32c"].shot_s
-    assert block.time_s[0] - shot_s == pytest.approx((4.2 - late) / 0.2 / 18_000.0)
-    assert SCANNERS["vlp-16"].late_lines.max() == 0
-
-
 def test_frames_lie_where_their_poses_say(tmp_path: Path) -> None:
     frames = tmp_path / "frames"
     settings = load_settings("street", options=options(trajectory={"stop_every_m": 0.0}))
@@ -137,40 +94,6 @@ def test_what_is_refused(tmp_path: Path) -> None:
 def test_profilers_have_the_published_rates(name: str, line_hz: float, points: int) -> None:
     scanner = SCANNERS[name]
     assert (scanner.line_hz, scanner.points_per_line) == (line_hz, points)
-
-
-def test_dead_angle_of_the_focus_points_down_and_the_sky_lies_amid_the_line() -> None:
-    """Lehtola et al. (2019, III and IV-C).
-
-    55 degrees downward, M = 4270 shots of 5040 steps a turn.
-    """
-    scanner = SCANNERS["focus3d-120"].changed(slant_deg=0.0)
-    angle = np.rad2deg(scanner.angle_rad())
-    assert angle[0] == pytest.approx(55.0 / 2.0, abs=0.05)
-    assert 360.0 - angle[-1] == pytest.approx(55.0 / 2.0, abs=0.05)
-    assert scanner.step_rad == pytest.approx(2.0 * np.pi / 5040)
-    assert scanner.directions()[scanner.points_per_line // 2, 2] == pytest.approx(1.0, abs=1e-5)
-
-
-@pytest.mark.parametrize("name", sorted(SCANNERS))
-def test_directions_are_unit_vectors_and_shots_fit_into_the_line(name: str) -> None:
-    scanner = SCANNERS[name]
-    assert scanner.directions().shape == (scanner.points_per_line, 3)
-    np.testing.assert_allclose(np.linalg.norm(scanner.directions(), axis=1), 1.0, rtol=1e-12)
-    assert scanner.shot_s * scanner.points_per_line <= 1.0 / scanner.line_hz * (1.0 + 1e-12)
-
-
-def test_mount_turns_the_plane() -> None:
-    """Heading by 90 degrees: left becomes back.
-
-    Roll by 10 degrees: what was down is 10 degrees to the left.
-    """
-    scanner = SCANNERS["photon-80"].changed(slant_deg=0.0)
-    angle = scanner.angle_rad()
-    turned = scanner.changed(heading_deg=90.0).directions()
-    np.testing.assert_allclose(turned[:, 0], -np.sin(angle), atol=1e-12)
-    rolled = scanner.changed(roll_deg=10.0).directions()
-    np.testing.assert_allclose(rolled[:, 1], np.sin(angle + np.deg2rad(10.0)), atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 from prc_cli.core.findings import Verdict
 from prc_cli.core.stream import ScanStream
 from prc_cli.core.types import F64
-from prc_cli.streams.agreement import continued, contradicted_share, stuck_columns
+from prc_cli.streams.agreement import contradicted_share
 from prc_cli.streams.evidence.checks import check_coordinates
 from prc_cli.streams.evidence.figures import Seen
 from tests.streams.record_lists import open_records
@@ -59,26 +59,6 @@ def test_points_contradict_wrong_ranges_and_angles(
     )
     assert share is not None
     assert (share < 0.1) == is_right
-
-
-def test_too_few_points_tell_nothing() -> None:
-    none = np.empty(0, np.int64)
-    assert contradicted_share(np.empty(0), np.empty((0, 3)), none, none, TRUE) is None
-
-
-@pytest.mark.parametrize("step_deg", [0.0, 2.0])
-def test_angles_that_are_cut_off_follow_from_the_others(step_deg: float) -> None:
-    angle = np.deg2rad(np.round(np.rad2deg(TRUE) / step_deg) * step_deg) if step_deg else TRUE
-    assert not stuck_columns(angle).any()
-    cut = np.clip(angle, -np.pi / 2, np.pi / 2)
-    mended = continued(cut, stuck_columns(cut))
-    assert mended is not None
-    assert np.abs(np.rad2deg(mended - TRUE)).max() < 0.1 + step_deg
-
-
-def test_uneven_angles_are_not_continued() -> None:
-    cut = np.clip(np.sign(TRUE) * TRUE**2, -1.5, 1.5)
-    assert continued(cut, stuck_columns(cut)) is None
 
 
 def drive(range_m: F64, xyz: F64, angle_rad: F64) -> ScanStream:

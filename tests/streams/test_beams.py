@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import laspy
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -29,7 +28,6 @@ from prc_cli.streams.evidence.geometry import check_angle_step, check_down, chec
 from prc_cli.streams.open import open_input
 from prc_cli.streams.stream import Stream
 from tests.methods.fused.street_lines import BEAM, street_lines
-from tests.profiler import jakarto, jakarto_input, scanner_positions, write_trajectory
 from tests.streams.beam_lines import (
     GEOMETRIES,
     gone,
@@ -97,13 +95,6 @@ def with_stray_shots(block: ScanBlock, n_lines: int) -> ScanBlock:
         range_m=np.concatenate([range_m, block.range_m]),
         xyz_m=np.concatenate([xyz_m, block.xyz_m]),
     )
-
-
-@pytest.mark.parametrize("n_stray", [1, 63, 64, 500])
-def test_stray_shots_at_the_beginning_do_not_hide_the_beams(n_stray: int) -> None:
-    true = GEOMETRIES["through the zenith"]
-    block = with_stray_shots(lines(true, missing=0.0), n_stray)
-    assert worst_deg(beams_of(stream(block)), true) < 0.25
 
 
 def test_prc_for_want_of_beams_is_a_doubt_where_lines_have_returns(
@@ -217,29 +208,6 @@ def test_heights_tell_where_down_is_on_the_scale_of_given_angles(
     assert worst_deg(shown_beams(config, records), expected) < 0.1
 
 
-def test_every_scanner_of_an_input_has_a_down_of_its_own() -> None:
-    _, cloud = scene()
-    cloud["z"] += 120.0 + 0.1 * cloud["scan_line"]
-    n = len(cloud["z"])
-    records = {name: np.concatenate([values, values]) for name, values in cloud.items()}
-    records["point_source_id"] = np.repeat([3, 8], n)
-    records["angle"][n:] = (records["angle"][n:] + np.deg2rad(30.0)) % (2 * np.pi)
-    read = open_records(records, scanner="point_source_id")
-    assert read.info.down_rad is None
-    assert np.rad2deg([read.info.down(scanner)[0] for scanner in (3, 8)]) == pytest.approx(
-        [0.0, 30.0], abs=0.1
-    )
-    expected = (np.arange(M) * 2 * np.pi / M + np.pi) % (2 * np.pi) - np.pi
-    directed = with_beams(read, AUTO)
-    for block in directed.blocks():
-        assert block.beam_rad is not None
-        assert worst_deg(block.beam_rad, expected) < 0.1
-    assert [a.key for a in directed.info.assumptions if "nadir" in a.key] == [
-        "input.nadir of point_source_id 3",
-        "input.nadir of point_source_id 8",
-    ]
-
-
 def hostile(rng: np.random.Generator) -> ScanBlock:
     """Return lines of anything: noise, grids, one direction, tiny or huge, nearly empty, lengths
     that lie."""
@@ -309,40 +277,6 @@ def real_beams(stream: ScanStream) -> F64:
     assert beam is not None
     assert is_strictly_monotone(beam)
     return beam
-
-
-@pytest.mark.parametrize("strip", [1, 2, 3])
-def test_oakland_counts_its_angles_from_nadir(real_data: Path, strip: int) -> None:
-    source = real_data / "oakland" / f"oakland_{strip}.csv.gz"
-    stream = opened(source, load_config())
-    assert stream.info.down_rad == pytest.approx(0.0, abs=np.deg2rad(0.15))
-    beam = real_beams(stream)
-    angle = stream.info.angle_rad
-    assert angle is not None
-    assert np.abs(beam - angle).max() < np.deg2rad(0.15)
-
-
-def test_profiler_with_a_trajectory(real_data: Path, tmp_path: Path) -> None:
-    source, recovered = jakarto(real_data)
-    las = laspy.read(source)
-    write_trajectory(tmp_path / "drive.csv", scanner_positions(las, recovered))
-    stream = opened(source, load_config(options={"input": jakarto_input(tmp_path / "drive.csv")}))
-    along = np.rad2deg(np.unwrap(real_beams(stream)))
-    step = np.diff(along)
-    # the whole circle, evenly but for what rounded times do to the columns
-    assert abs(along[-1] - along[0]) == pytest.approx(360.0, abs=0.5)
-    assert np.median(np.abs(step)) == pytest.approx(360 / 5099, rel=0.02)
-    assert np.abs(step).max() < 1.0
-    # its plane leans over by more than a third of a right angle: heights fall with the cosine of
-    # the beam, times that of the lean
-    for block in stream.blocks():
-        assert block.xyz_m is not None
-        assert block.beam_rad is not None
-        below = -block.xyz_m[..., 2] / block.range_m
-        fall = np.cos(block.beam_rad)
-        lean = float(np.nanmedian((below / fall)[:, np.abs(fall) > 0.5]))
-        assert np.rad2deg(np.arccos(lean)) == pytest.approx(38.7, abs=1.5)
-        assert np.nanpercentile(np.abs(below - lean * fall), 95) < 0.02
 
 
 def test_kitti_frame(real_data: Path, tmp_path: Path) -> None:
@@ -424,28 +358,6 @@ def test_down_that_is_given_wrong_is_noticed(
     # the hint is right on the scale of the scan angles
     nadir = float(finding.hint.rpartition("input.nadir=")[2])
     assert abs(nadir) <= 2
-
-
-@pytest.mark.parametrize(
-    ("factor", "expected"),
-    [
-        (100.0, Verdict.AGAINST),
-        (0.001, Verdict.AGAINST),
-        (3.2808, Verdict.DOUBTFUL),
-        (2.0, None),
-        (0.5, Verdict.FINE),
-    ],
-)
-def test_ranges_in_another_unit_are_noticed(
-    street: tuple[F64, F32], factor: float, expected: Verdict | None
-) -> None:
-    angle, ranges = street
-    finding = check_height(seen(angle, ranges * np.float32(factor)))
-    assert finding is not None
-    # a scanner on a truck is twice as high, and a plane that leans adds to it
-    assert finding.verdict == expected or (expected is None and finding.verdict < Verdict.AGAINST)
-    # whatever the unit, down is found
-    assert verdict(check_down(seen(angle, ranges * np.float32(factor)))) == Verdict.FINE
 
 
 @pytest.mark.filterwarnings("error")

@@ -13,11 +13,9 @@ import pytest
 from prc_cli.config import load_config
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F64, I64
-from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.classify import classify
-from prc_cli.streams.beams import with_beams
 from prc_cli.streams.directions import fit_beams
-from prc_cli.streams.down import NoDirectionError, fit_heights, guess_down, wrap
+from prc_cli.streams.down import NoDirectionError, fit_heights
 from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.streams.beam_lines import GEOMETRIES, is_strictly_monotone, lines, worst_deg
 
@@ -115,22 +113,6 @@ def shots(
     return angle, range_m + rng.normal(0, 0.005, len(line)), np.round(z, 2), line
 
 
-@pytest.mark.parametrize("nadir_deg", [0.0, 90.0, -135.0, 180.0, 400.0])
-def test_down_is_found_in_registered_heights(nadir_deg: float) -> None:
-    angle, range_m, z, line = shots(3, nadir_deg)
-    fit = fit_heights(angle, range_m, z, line)
-    assert abs(np.rad2deg(wrap(np.array([fit.down_rad - np.deg2rad(nadir_deg)]))[0])) < 0.02
-    assert fit.off_m < 0.02
-    # a tenth of the shots wrong, some not finite
-    rng = np.random.default_rng(2)
-    z[rng.random(len(z)) < 0.1] += 7.0
-    range_m[::31] = np.nan
-    z[::37] = np.nan
-    angle[::41] = np.nan
-    fit = fit_heights(angle, range_m, z, line)
-    assert abs(np.rad2deg(wrap(np.array([fit.down_rad - np.deg2rad(nadir_deg)]))[0])) < 0.05
-
-
 def test_heights_that_do_not_belong_to_the_angles_are_refused() -> None:
     angle, range_m, z, line = shots(3, 0.0)
     rng = np.random.default_rng(0)
@@ -171,16 +153,6 @@ def off_deg(down_rad: float, true: float = 0.0) -> float:
     return abs(math.degrees(math.remainder(down_rad - true, 2 * math.pi)))
 
 
-@pytest.mark.parametrize("turned_deg", [0.0, 75.0, 180.0, -120.0])
-@pytest.mark.parametrize("way", [1, -1])
-def test_a_street_tells_where_down_is(turned_deg: float, way: int) -> None:
-    ranges, _ = street_lines(20)
-    guess = guess_down(way * BEAM + np.deg2rad(turned_deg), ranges)
-    assert guess is not None
-    assert guess.is_sure
-    assert off_deg(guess.down_rad, math.radians(turned_deg)) < 1.5
-
-
 @dataclass(frozen=True)
 class Lines:
     """A stream of one block."""
@@ -197,20 +169,6 @@ def street() -> Lines:
     angle = BEAM + 1.0
     info = StreamInfo("street.npz", "array", len(BEAM), None, 20, angle_rad=angle)
     return Lines(info, ScanBlock(0, ranges, angle_rad=angle, is_last=True))
-
-
-def test_beams_come_from_the_ground_where_nothing_else_tells() -> None:
-    directed = with_beams(street(), InputConfig())
-    beams = next(iter(directed.blocks())).beam_rad
-    assert beams is not None
-    assert np.abs(beams - BEAM).max() < np.deg2rad(1.5)
-    said = [
-        assumption for assumption in directed.info.assumptions if assumption.key == "input.nadir"
-    ]
-    assert "level ground" in said[0].why
-    assert "guessed from level ground" in said[0].value
-    (note,) = directed.info.facts.notes
-    assert note.startswith("straight down is taken to be at scan angle 5")
 
 
 def test_a_guess_is_in_the_record_of_the_run(tmp_path: Path) -> None:

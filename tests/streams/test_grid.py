@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError, OrderError
 from prc_cli.core.stream import ReadTally
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.records import Reading, RecordChunk
+from prc_cli.formats.records import RecordChunk
 from prc_cli.streams import grid, lines
 from prc_cli.streams.grid import open_grid
 from tests.streams.record_lists import (
@@ -78,64 +78,6 @@ def test_every_rule_finds_the_same_scene(rule: str, chunk_records: int) -> None:
     assert np.array_equal(whole.record[whole.record >= 0], np.arange(len(records["range"])))
     assert np.array_equal(whole.record >= 0, ~np.isnan(image))
     assert whole.tally == ReadTally()
-
-
-def test_what_goes_along_stands_in_the_right_cells() -> None:
-    _, records = scene()
-    origin = np.array([552_000.125, 6_600_000.25, 31.5])
-    for axis, name in enumerate("xyz"):
-        records[name] = records[name] + origin[axis]
-    rule = "origin:{},{},{}".format(*origin)
-    whole = read(open_records(records, 37, range=rule))
-    for block in whole.blocks:
-        record = block.records()
-        there = record >= 0
-        assert block.time_s is not None
-        assert np.array_equal(block.time_s[there], records["time"][record[there]])
-        assert np.isnan(block.time_s[~there]).all()
-        assert block.intensity is not None
-        assert np.array_equal(
-            block.intensity[there], records["intensity"][record[there]].astype(np.float32)
-        )
-        assert block.xyz_m is not None
-        distance = np.linalg.norm(block.xyz_m.astype(np.float64), axis=2)
-        np.testing.assert_allclose(distance[there], records["range"][record[there]], rtol=1e-5)
-        assert np.isnan(block.xyz_m[~there]).all()
-        assert block.angle_rad is not None
-        np.testing.assert_allclose(block.angle_rad, 2 * np.pi * np.arange(M) / M, atol=1e-9)
-
-
-class _SkippingSource(MemorySource):
-    """Intensities of shots with one return are made up once they may be."""
-
-    def with_reading(self, reading: Reading) -> MemorySource:
-        assert reading == Reading(spares_intensity=True)
-        single = self.values["number_of_returns"] <= 1
-        intensity = np.where(single, -7.0, self.values["intensity"])
-        return MemorySource({**self.values, "intensity": intensity}, self.chunk_records)
-
-
-@pytest.mark.parametrize("rule", ["strongest", "first"])
-@pytest.mark.parametrize("chunk_records", [7, 1000])
-def test_ranges_alone_are_the_same(rule: str, chunk_records: int) -> None:
-    _, records = scene()
-    rng = np.random.default_rng(4)
-    number = rng.integers(1, 4, len(records["range"]))
-    twice = {name: np.repeat(values, number) for name, values in records.items()}
-    twice["number_of_returns"] = np.repeat(number, number)
-    twice["return_number"] = np.concatenate([np.arange(1, n + 1) for n in number])
-    twice["range"] = twice["range"] + twice["return_number"]
-    twice["intensity"] = rng.random(len(twice["range"]))
-    options: dict[str, Any] = {"return": rule, "columns": "dimension:column"}
-    config = InputConfig.model_validate(options)
-    whole = read(open_grid(MemorySource(twice, chunk_records), config))
-    ranges = read(open_grid(_SkippingSource(twice, chunk_records), config, only_ranges=True))
-    assert np.array_equal(ranges.range_m, whole.range_m, equal_nan=True)
-    assert np.array_equal(ranges.record, whole.record)
-    assert ranges.extras == whole.extras
-    assert len(ranges.extras) == int(np.sum(number - 1))
-    assert ranges.tally == whole.tally
-    assert all(block.time_s is None and block.intensity is None for block in ranges.blocks)
 
 
 @given(st.data())

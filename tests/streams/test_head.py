@@ -42,15 +42,6 @@ def read(head: Head, name: str, n_chunks: int | None = None) -> list[int]:
     return [int(value) for chunk in chunks for value in chunk.values[name]]
 
 
-def test_readers_of_the_head_share_one_decoding(short_head: None) -> None:
-    source = numbers("time", "range")
-    head = Head(source)
-    assert read(head, "time", 2) == list(range(200))
-    assert read(head, "time", 1) == list(range(100))
-    assert read(head, "time", 3) == list(range(300))
-    assert source.reads == [("time",)]
-
-
 def test_every_reader_may_go_on_to_the_end(short_head: None) -> None:
     source = numbers("time", "range")
     head = Head(source)
@@ -58,16 +49,6 @@ def test_every_reader_may_go_on_to_the_end(short_head: None) -> None:
         assert read(head, "time") == list(range(N))
         assert read(head, "time", 3) == list(range(300))
     assert len(source.reads) == 3
-
-
-def test_expected_dimensions_are_decoded_with_the_first(short_head: None) -> None:
-    source = numbers("time", "range", "angle")
-    head = Head(source, {"angle"})
-    (first,) = islice(head.chunks(("time",)), 1)
-    assert list(first.values) == ["time"]
-    assert read(head, "angle", 1) == list(range(2000, 2100))
-    assert read(head, "range", 1) == list(range(1000, 1100))
-    assert source.reads == [("time", "angle"), ("range", "angle")]
 
 
 @dataclass
@@ -117,16 +98,6 @@ def classify_counting(
     monkeypatch.setattr(kind, "chunks", counted)
     classify(source, output)
     return reads
-
-
-def test_decodings_of_a_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    source = write_csv(tmp_path / "drive.csv", street())
-    head, columns, blocks = classify_counting(
-        monkeypatch, TextSource, source, tmp_path / "labels.npy"
-    )
-    assert set(head) == {"scan_line", "column", "range", "angle"}
-    assert set(columns) == {"scan_line", "column"}  # the largest column is M
-    assert set(blocks) == {"scan_line", "column", "range"}
 
 
 @pytest.mark.parametrize("suffix", ["las", "laz"])

@@ -13,13 +13,11 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
-from prc_cli.streams.angles import WrapState, find_sweep, lines_by_wrap
-from prc_cli.streams.columns import StampState, spread_stamps
+from prc_cli.streams.angles import find_sweep
 from prc_cli.streams.lines import LineState, lines_by_dimension
 from prc_cli.streams.open import open_input
 from prc_cli.streams.ranges import RangeRule, measure_ranges, open_ranges
-from prc_cli.streams.rules import limits_of, with_elevation
-from prc_cli.streams.trajectory import Trajectory
+from prc_cli.streams.rules import with_elevation
 from tests.streams.record_lists import MemorySource
 
 NAN = np.nan
@@ -37,28 +35,6 @@ def test_dimension_refuses_what_is_no_line_number(number: float, shown: str) -> 
         lines_by_dimension(np.array([1.0, number]), LineState(), WHERE)
 
 
-@pytest.mark.parametrize("direction", [1, -1])
-@pytest.mark.parametrize("size", [1, 2, 7, 1000])
-def test_wrap_of_a_profiler_with_missing_shots(direction: int, size: int) -> None:
-    rng = np.random.default_rng(5)
-    line = np.repeat(np.arange(30), 36)
-    angle = direction * np.tile(np.deg2rad(np.arange(0, 360, 10.0)), 30)
-    keep = rng.random(len(line)) < 0.6
-    line = line[keep]
-    angle = angle[keep]
-    angle[rng.random(len(angle)) < 0.05] = NAN
-    sweep = find_sweep(angle, "drive.laz")
-    assert sweep.direction == direction
-    wraps = []
-    state = WrapState()
-    for start in range(0, len(angle), size):
-        part, state = lines_by_wrap(angle[start : start + size], sweep, state)
-        wraps.extend(part.tolist())
-    # a shot without angle at the end of a line cannot be told from one at its begin
-    finite = np.isfinite(angle)
-    assert np.array_equal(np.array(wraps)[finite], line[finite])
-
-
 def test_sweep_needs_angles_of_one_direction() -> None:
     with pytest.raises(
         InputError,
@@ -73,34 +49,6 @@ def test_sweep_needs_angles_of_one_direction() -> None:
         match="grows in 25[0-9] steps and falls in 24[0-9], expected sweeps of one direc",
     ):
         find_sweep(there_and_back, "drive.laz")
-
-
-INF = np.inf
-
-
-@pytest.mark.parametrize("size", [1, 2, 3, 1000])
-def test_equal_stamps_are_spread(size: int) -> None:
-    stamps = np.array([1.0, 1.0, 1.0, 2.0, 3.0, 3.0, NAN, NAN, 1.0])
-    state = StampState()
-    spread = []
-    ordinals = []
-    for start in range(0, len(stamps), size):
-        part, ordinal, state = spread_stamps(stamps[start : start + size], 4.0, state)
-        spread.extend(part.tolist())
-        ordinals.extend(ordinal.tolist())
-    assert ordinals == [0, 1, 2, 0, 0, 1, 0, 0, 0]
-    np.testing.assert_array_equal(spread, [1.0, 1.25, 1.5, 2.0, 3.0, 3.25, NAN, NAN, 1.0])
-
-
-@pytest.mark.parametrize(("origin", "is_told"), [(None, True), (0.5, False)])
-def test_the_first_record_begins_the_lines_by_time_unless_told(
-    origin: float | None, is_told: bool
-) -> None:
-    config = InputConfig(
-        lines="time:10", columns="time:100", points_per_line=10, time_origin=origin
-    )
-    keys = {assumption.key for assumption in limits_of(config, "time:10", "time:100", ())}
-    assert ("input.time_origin" in keys) == is_told
 
 
 RULES = {"lines": "elevation:20", "columns": "order", "range": "sensor-xyz"}
@@ -184,17 +132,6 @@ def opened(rule: str, dimensions: tuple[str, ...] = ALL) -> RangeRule:
     return open_ranges(rule, dimensions, "drive.laz", InputConfig(), crs_wkt=None)
 
 
-def test_coordinates_of_the_sensor() -> None:
-    rule = opened("sensor-xyz")
-    assert rule.names == ("x", "y", "z")
-    values = {"x": np.array([3.0, np.nan]), "y": np.array([4, 0]), "z": np.array([12.0, 1.0])}
-    range_m, xyz = measure_ranges(values, rule)
-    np.testing.assert_array_equal(range_m, [13.0, np.nan])
-    assert xyz is not None
-    assert xyz.dtype == np.float32
-    np.testing.assert_array_equal(xyz[0], [3, 4, 12])
-
-
 def test_millimetres_survive_large_coordinates() -> None:
     rule = opened("origin:552000.125,6600000.25,-3")
     values = {
@@ -207,18 +144,3 @@ def test_millimetres_survive_large_coordinates() -> None:
     assert range_m[0] == pytest.approx(0.005, abs=1e-8)
     assert xyz is not None
     np.testing.assert_allclose(xyz[0], [0.003, -0.004, 0.0], atol=1e-8)
-
-
-def test_along_a_trajectory() -> None:
-    track = Trajectory(
-        "drive.csv", np.array([0.0, 10.0]), np.array([[0.0, 0.0, 2.0], [100.0, 0.0, 2.0]])
-    )
-    rule = RangeRule(trajectory=track)
-    assert rule.names == ("x", "y", "z", "time")
-    values = {"x": np.array([10.0, 53.0]), "y": np.array([7.0, 4.0]), "z": np.array([2.0, 2.0])}
-    range_m, xyz = measure_ranges({**values, "time": np.array([1.0, 5.0])}, rule)
-    np.testing.assert_allclose(range_m, [7.0, 5.0])
-    assert xyz is not None
-    np.testing.assert_allclose(xyz, [[0, 7, 0], [3, 4, 0]], atol=1e-6)
-    with pytest.raises(InputError, match="1 of 2 point times are outside the trajectory"):
-        measure_ranges({**values, "time": np.array([1.0, 11.0])}, rule)

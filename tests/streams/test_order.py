@@ -11,9 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from prc_cli.core.errors import OrderError
-from prc_cli.core.stream import ReadTally
 from prc_cli.streams import order
-from prc_cli.streams.order import WEEK_S, OrderWatch, WeekState, unwrap_week
+from prc_cli.streams.order import WEEK_S, OrderWatch
 from tests.streams.record_lists import LINE_HZ, SHOT_HZ, START_S, only, open_records, read, scene
 
 
@@ -131,34 +130,6 @@ def wrapped() -> tuple[np.ndarray, dict[str, np.ndarray]]:
     return image, {**records, "time": np.where(time_s >= WEEK_S, time_s - WEEK_S, time_s)}
 
 
-@pytest.mark.parametrize("chunk_records", [1, 7, 1000])
-@pytest.mark.parametrize("rule", ["time", "column", "angle", "line and time"])
-def test_lines_go_on_over_the_end_of_the_week(rule: str, chunk_records: int) -> None:
-    image, records = wrapped()
-    names, options = {
-        "time": ((), BY_TIME),
-        "column": (("column",), {"lines": BY_TIME["lines"]}),
-        "angle": (("angle",), {"lines": BY_TIME["lines"], "columns": "angle"}),
-        "line and time": (
-            ("scan_line",),
-            {"columns": BY_TIME["columns"], "points_per_line": image.shape[1]},
-        ),
-    }[rule]
-    stream = open_records(
-        only(records, "range", "time", *names), chunk_records, order="trust", **options
-    )
-    whole = read(stream)
-    assert whole.tally.n_time_steps_back == 1
-    assert whole.tally.n_unplaced == 0
-    if rule != "line and time":  # counts from the first return
-        assert np.array_equal(whole.range_m, image, equal_nan=True)
-        assert whole.tally == ReadTally(n_time_steps_back=1)
-    times = np.concatenate(
-        [block.time_s[block.records() >= 0] for block in whole.blocks if block.time_s is not None]
-    )
-    assert np.all(np.diff(times) > 0)
-
-
 @pytest.mark.parametrize("goes_on", [False, True])
 def test_the_trajectory_is_asked_by_the_times_that_it_has(goes_on: bool, tmp_path: Path) -> None:
     image, records = wrapped()
@@ -171,11 +142,3 @@ def test_the_trajectory_is_asked_by_the_times_that_it_has(goes_on: bool, tmp_pat
         options["trajectory_max_gap"] = WEEK_S
     whole = read(open_records(only(records, "x", "y", "z", "time"), 50, **options))
     np.testing.assert_allclose(whole.range_m, image, rtol=1e-6)
-
-
-@pytest.mark.parametrize("back_s", [1.0, 86_400.0, 0.98 * WEEK_S, 1.02 * WEEK_S, 1e300])
-def test_other_steps_back_stay(back_s: float) -> None:
-    times = np.array([1e6, 1e6 - back_s, 2e6])
-    unwrapped, added, _ = unwrap_week(times, WeekState())
-    assert unwrapped is times
-    assert not added.any()

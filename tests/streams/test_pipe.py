@@ -62,14 +62,6 @@ def ranges_of(source: PipeSource) -> list[float]:
     return [float(value) for chunk in source.chunks(("range",)) for value in chunk.values["range"]]
 
 
-@pytest.mark.parametrize("sizes", [[1], [3, 5], [4], [1000], [7, 64, 1]])
-def test_pieces_of_any_size_give_the_same_records(sizes: list[int]) -> None:
-    values = np.arange(1, 50, dtype="<f4")
-    source = PipeSource(Pieces(values.tobytes(), sizes), RANGES)
-    source.seal()
-    assert ranges_of(source) == values.tolist()
-
-
 @pytest.mark.parametrize("sizes", [[1], [5], [400]])
 def test_the_same_stream_as_from_a_file(tmp_path: Path, sizes: list[int]) -> None:
     rng = np.random.default_rng(3)

@@ -100,23 +100,6 @@ def test_every_record_finds_its_cell(way: int, begin_deg: float, upwards: bool) 
     assert np.array_equal(np.isnan(whole.range_m), whole.record < 0)
 
 
-def test_shots_out_of_order_take_a_free_cell_or_count_as_further_returns() -> None:
-    records, true_line, _ = frame(2)
-    moved = np.flatnonzero((true_line > 200) & (true_line < 300))[::97]
-    for name in ("x", "y", "z"):
-        records[name][moved] = records[name][moved - 6]
-    whole = opened(records, azimuth_step=1.0)
-    assert 0 < whole.tally.n_collisions <= len(moved) + 2
-    in_cells = whole.record[whole.record >= 0]
-    assert len(in_cells) + len(whole.extras) == len(true_line)
-    assert sorted([*in_cells.tolist(), *(extra[3] for extra in whole.extras)]) == list(
-        range(len(true_line))
-    )
-    range_m = np.sqrt(records["x"] ** 2 + records["y"] ** 2 + records["z"] ** 2)
-    for _, _, extra_range, record in whole.extras:
-        assert extra_range == pytest.approx(range_m[record], rel=1e-6)
-
-
 @pytest.mark.parametrize(
     ("keys", "key"),
     [

@@ -10,7 +10,6 @@ import pytest
 
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.streams.evidence.result import MAX_COLUMNS, _Kept
-from prc_cli.streams.steps import ONE, Step, find_step
 from tests.streams.record_lists import M, only, open_records, read, scene
 
 
@@ -27,37 +26,6 @@ def test_numbers_in_steps_give_the_same_lines(name: str, size: int, phase: int) 
     notes = [note for note in stream.info.facts.notes if "rise by" in note]
     assert len(notes) == (size > 1)
     assert not notes or f"rise by {size}" in notes[0]
-
-
-def test_a_number_off_the_step_is_counted() -> None:
-    _, records = scene()
-    changed = {**records, "scan_line": records["scan_line"].astype(np.int64) * 5}
-    changed["scan_line"][3] += 2
-    whole = read(open_records(only(changed, "range", "scan_line", "column"), 100))
-    assert whole.tally.n_unplaced == 1
-
-
-def test_column_numbers_that_fit_into_the_given_line_are_meant() -> None:
-    _, records = scene()
-    changed = {**records, "column": records["column"].astype(np.int64) * 2}
-    stream = open_records(only(changed, "range", "scan_line", "column"), 100, points_per_line=2 * M)
-    assert stream.info.points_per_line == 2 * M
-    assert np.isnan(read(stream).range_m[:, 1::2]).all()
-
-
-@pytest.mark.parametrize(
-    ("numbers", "expected"),
-    [
-        (np.array([0, 4, 8]), ONE),
-        (np.arange(0, 900, 3) + (np.arange(300) == 7), Step(3, 0)),
-        (np.arange(0, 900, 3) + (np.arange(300) % 10 == 7), ONE),
-        (np.r_[np.arange(0, 400, 4), np.arange(400, 800, 8)], Step(4, 0)),
-        (np.full(100, np.nan), ONE),
-        (np.arange(100) * 0.5, ONE),
-    ],
-)
-def test_the_step_is_that_of_nearly_all_numbers(numbers: np.ndarray, expected: Step) -> None:
-    assert find_step(numbers) == expected
 
 
 def columns_of(range_m: np.ndarray) -> np.ndarray:

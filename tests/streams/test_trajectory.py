@@ -39,23 +39,6 @@ def write_sbet(path: Path, rows: list[tuple[float, float, float, float]]) -> Pat
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        "gps_time;easting;northing;height\n1;2;3;4\n2;3;4;5\n",
-        "T\tE\tN\tAlt\n1\t2\t3\t4\n2\t3\t4\t5\n",
-        "# t x y h\n# made by hand\n1  2 3   4\n\n2 3 4 5\n",
-        '"x","y","z","roll","time"\n"2","3","4","0.1","1"\n"3","4","5","0.1","2"\n',
-        "\ufefftime [s],x (m),y (m),altitude (m)\r\n1,2,3,4\r\n2,3,4,5\r\n",
-        "time,height,z,x,y\n1,9,4,2,3\n2,9,5,3,4\n",
-    ],
-)
-def test_delimiters_and_names(tmp_path: Path, text: str) -> None:
-    track = load(write(tmp_path / "drive.txt", text))
-    np.testing.assert_array_equal(track.time_s, [1, 2])
-    np.testing.assert_array_equal(track.xyz_m, [[2, 3, 4], [3, 4, 5]])
-
-
-@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("", "drive.csv: empty file, expected a trajectory"),

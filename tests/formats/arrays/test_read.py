@@ -103,52 +103,6 @@ def test_rows_that_are_rings_are_exchanged(
         )
 
 
-@pytest.mark.parametrize("compressed", [True, False])
-@pytest.mark.parametrize("chunk", [1, 11, 1 << 19])
-@pytest.mark.parametrize("angles", ["angle_deg", "zenith_deg"])
-def test_everything_an_archive_can_hold(
-    tmp_path: Path,
-    compressed: bool,
-    chunk: int,
-    angles: str,
-) -> None:
-    rng = np.random.default_rng(5)
-    ranges = image()
-    ranges[0, 0] = -4
-    xyz = rng.normal(size=(7, 5, 3))
-    xyz[3, 3, 1] = 1e300
-    intensity = rng.integers(0, 65535, (7, 5))
-    arrays = {
-        "xyz": xyz,
-        "intensity": intensity,
-        "range_m": ranges,
-        "time_s": 100 + np.arange(7) * 0.02,
-    }
-    degrees = np.linspace(-90, 90, 5)
-    path = save_npz(
-        tmp_path, compressed=compressed, **arrays, **{angles: degrees}, note=np.array("x")
-    )
-    stream = ArrayStream(path, AUTO, chunk_shots=chunk)
-    assert stream.info.angle_rad is not None
-    np.testing.assert_array_equal(stream.info.angle_rad, np.deg2rad(degrees))
-    # a chunk of one line does not show how far lines are apart
-    assert stream.info.line_hz == (pytest.approx(50) if chunk > 9 else None)
-    assert any(a.value == "not read: note" for a in stream.info.assumptions)
-    block = whole(stream)
-    expected = ranges.copy()
-    expected[0, 0] = np.nan
-    np.testing.assert_array_equal(block.range_m, expected)
-    assert block.time_s is not None
-    np.testing.assert_array_equal(block.time_s, np.repeat(arrays["time_s"][:, None], 5, axis=1))
-    assert block.xyz_m is not None
-    gone = np.isnan(expected)[:, :, None] | (np.abs(xyz) > 1e30)
-    np.testing.assert_array_equal(
-        block.xyz_m, np.where(gone, np.nan, xyz.clip(-9, 9)).astype(np.float32)
-    )
-    assert block.intensity is not None
-    np.testing.assert_array_equal(block.intensity, intensity.astype(np.float32))
-
-
 @pytest.mark.parametrize(
     ("array", "message"),
     [

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from prc_cli.core.blocks import join
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock
-from prc_cli.formats.bags.numbers import RingNumbers
 from prc_cli.formats.bags.read import BagStream
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.filters import ordered
@@ -79,30 +78,6 @@ def read(path: Path) -> ScanBlock:
     return join(list(ordered(Stream.of(BagStream(path, InputConfig())), "require").blocks()))
 
 
-@pytest.mark.parametrize("n_columns", [1, 2, 6, 25])
-def test_points_that_share_the_time_of_a_packet_have_columns_of_their_own(
-    tmp_path: Path, n_columns: int
-) -> None:
-    drive = shots()
-    drive["time"] = drive["column"] // n_columns * n_columns * 0.1 / TURN_LINES
-    block = read(record(tmp_path / "a.mcap", drive, np.arange(N_RINGS)))
-    wanted = drive["range"].reshape(N_LINES, N_RINGS)
-    np.testing.assert_allclose(block.range_m, wanted, rtol=1e-5)
-    assert block.tally.n_collisions == block.tally.n_unplaced == len(block.extra) == 0
-    assert block.time_s is not None
-    # within half a packet
-    off_s = block.time_s - made.START_NS * 1e-9 - np.arange(N_LINES)[:, None] * 0.1 / TURN_LINES
-    assert np.abs(off_s).max() < n_columns * 0.1 / TURN_LINES + 1e-6
-
-
-def test_points_beyond_two_of_a_cell_are_counted(tmp_path: Path) -> None:
-    drive = shots()
-    four = {name: np.concatenate([values] * 4) for name, values in drive.items()}
-    block = read(record(tmp_path / "a.mcap", four, np.arange(N_RINGS)))
-    n_points = int(np.isfinite(drive["range"]).sum())
-    assert (block.tally.n_records, block.tally.n_collisions) == (4 * n_points, 2 * n_points)
-
-
 def test_two_scanners_in_one_cloud_are_refused(tmp_path: Path) -> None:
     drive = shots()
     turned = {**drive, "xyz": drive["xyz"] @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])}
@@ -128,41 +103,3 @@ def test_numbers_of_rings_may_have_gaps(tmp_path: Path, numbers: np.ndarray, not
     block = join(list(stream.blocks()))
     np.testing.assert_allclose(block.range_m, drive["range"].reshape(N_LINES, N_RINGS), rtol=1e-5)
     assert note in " ".join(stream.info.facts.notes)
-
-
-def test_a_ring_that_does_not_return_at_first_has_its_place() -> None:
-    numbers = RingNumbers.of(np.arange(1, 63))
-    assert numbers is not None
-    assert numbers.n_rings == 64
-    assert numbers.of_points(np.array([0, 62, 63, 64])).tolist() == [0, 62, 63, -1]
-
-
-def test_lines_without_returns_have_times_between_those_around(tmp_path: Path) -> None:
-    """Columns of 48.83 microseconds, as an Ouster at 20 Hz has them.
-
-    a whole number would run away from the others.
-    """
-    drive = shots()
-    drive["time"] = np.round(drive["column"] * 0.1 / 2048, 9)
-    drive["range"][(drive["column"] % 50 > 20) & (drive["column"] % 50 < 40)] = np.nan
-    block = read(record(tmp_path / "a.mcap", drive, np.arange(N_RINGS)))
-    assert block.time_s is not None
-    assert (np.diff(block.time_s[: TURN_LINES - 1].ravel()) >= 0).all()
-
-
-def test_the_place_of_the_scanner_is_told(tmp_path: Path) -> None:
-    drive = shots()
-    at_scanner = record(tmp_path / "own.mcap", drive, np.arange(N_RINGS))
-    on_map = {**drive, "xyz": drive["xyz"] + np.array([450.0, -20.0, 31.0])}
-    far = record(tmp_path / "map.mcap", on_map, np.arange(N_RINGS))
-    config = InputConfig.model_validate({"range": "origin:450,-20,31"})
-    expected = join(list(BagStream(at_scanner, InputConfig()).blocks()))
-    block = join(list(BagStream(far, config).blocks()))
-    np.testing.assert_allclose(block.range_m, expected.range_m, atol=1e-4)
-    np.testing.assert_allclose(block.xyz_m, expected.xyz_m, atol=1e-4)
-
-
-def test_lines_of_a_profiler_have_no_place(tmp_path: Path) -> None:
-    path = made.write_bag(tmp_path / "scans.bag", made.lasers(1))
-    with pytest.raises(ConfigError, match="found 'origin:1,2,3', expected auto or sensor-xyz"):
-        BagStream(path, InputConfig.model_validate({"range": "origin:1,2,3"}))

@@ -143,58 +143,6 @@ def test_labels_read_back_equal_and_all_else_stays(tmp_path: Path, name: str, su
         assert first.scanner == second.scanner
 
 
-@pytest.mark.parametrize("suffix", WRITE)
-def test_other_readers_find_points_and_codes(tmp_path: Path, suffix: str) -> None:
-    source = recorded(tmp_path, "mixed", suffix)
-    folder = out_folder(tmp_path)
-    output = folder / f"drive{suffix}"
-    write(source, output)
-    version = 1 if suffix == ".bag" else 2
-    store = made.STORES[version]
-    read = store.deserialize_ros1 if version == 1 else store.deserialize_cdr
-    # a database has its metadata beside it: a bag of its own
-    named = folder if suffix == ".db3" else output
-    codes = []
-    with (
-        AnyReader([source], default_typestore=store) as old,
-        AnyReader([named], default_typestore=store) as new,
-    ):
-        points = [
-            read(data, connection.msgtype)
-            for connection, _, data in old.messages()
-            if connection.topic == "/points"
-        ]
-        for connection, _, data in new.messages():
-            message: Any = read(data, connection.msgtype)
-            if connection.topic in ("/a/labels", "/b/labels"):
-                assert (message.header.frame_id, len(message.ranges)) == (
-                    {"/a": "other", "/b": "laser"}[connection.topic[:2]],
-                    made.M,
-                )
-                codes.append(message.intensities.astype(int))
-            elif connection.topic == "/points":
-                was: Any = points.pop(0)
-                added = message.fields[-1]
-                assert message.fields[:-1] == was.fields
-                assert (added.name, added.datatype, added.count) == ("label", 2, 1)
-                rows = message.data.reshape(-1, message.point_step)
-                np.testing.assert_array_equal(
-                    rows[:, : was.point_step], was.data.reshape(-1, was.point_step)
-                )
-                assert (message.width, message.height, message.is_dense) == (
-                    was.width,
-                    was.height,
-                    was.is_dense,
-                )
-                assert (message.row_step, message.is_bigendian) == (
-                    message.width * message.point_step,
-                    was.is_bigendian,
-                )
-                codes.append(rows[:, added.offset].astype(int))
-    assert not points
-    np.testing.assert_array_equal(np.sort(np.concatenate(codes)), np.sort(read_codes(output)))
-
-
 def test_rows_lose_their_padding_and_a_label_of_the_input_its_values() -> None:
     table = np.zeros(6, np.dtype([*POINT, ("label", "<u2")]))
     table["x"] = np.arange(6)

@@ -32,21 +32,6 @@ def clean(range_m: np.ndarray) -> np.ndarray:
     return np.where((range_m >= 0.1) & (range_m < 100.0), range_m, np.nan)
 
 
-def test_scans_with_a_beam_less_have_an_empty_cell(tmp_path: Path) -> None:
-    ranges = made.ranges()
-    stream, block = read_parts(
-        tmp_path, [(row[: made.M - k % 3], {}) for k, row in enumerate(ranges)]
-    )
-    wanted = clean(ranges)
-    wanted[1::3, -1:] = np.nan
-    wanted[2::3, -2:] = np.nan
-    np.testing.assert_array_equal(block.range_m, wanted)
-    n_beams = [made.M - k % 3 for k in range(made.N_LINES)]
-    assert block.records()[-1, 0] == sum(n_beams[:-1])
-    assert block.tally.n_records == sum(n_beams)
-    assert f"one grid of {made.M} angles" in stream.info.facts.notes[0]
-
-
 def test_a_first_angle_that_is_a_step_off_moves_the_columns(tmp_path: Path) -> None:
     ranges = made.ranges()
     _, block = read_parts(
@@ -55,18 +40,6 @@ def test_a_first_angle_that_is_a_step_off_moves_the_columns(tmp_path: Path) -> N
     assert block.points_per_line == made.M + 1
     np.testing.assert_array_equal(block.range_m[0::2, :-1], clean(ranges[0::2]))
     np.testing.assert_array_equal(block.range_m[1::2, 1:], clean(ranges[1::2]))
-
-
-def test_steps_that_change_with_the_motor_lie_on_the_finest_grid(tmp_path: Path) -> None:
-    ranges = made.ranges()
-    parts = []
-    for k, row in enumerate(ranges):
-        n = made.M - k % 4
-        parts.append((row[:n], {"angle_increment": 3.0 / (n - 1)}))
-    _, block = read_parts(tmp_path, parts)
-    assert block.points_per_line == made.M
-    np.testing.assert_array_equal(block.range_m[0::4], clean(ranges[0::4]))
-    assert [int((row >= 0).sum()) for row in block.records()[:4]] == [40, 39, 38, 37]
 
 
 def test_parts_of_a_line_join(tmp_path: Path) -> None:

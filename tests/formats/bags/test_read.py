@@ -48,49 +48,6 @@ def read(path: Path, **changes: Any) -> tuple[BagStream, list[ScanBlock]]:
     return stream, list(stream.blocks())
 
 
-@pytest.mark.parametrize("name", WRITERS)
-def test_every_container_gives_the_same_lines(tmp_path: Path, name: str) -> None:
-    stream, blocks = read(WRITERS[name](tmp_path / name))
-    block = join(blocks)
-    sent = made.ranges()
-    wanted = np.where((sent >= 0.1) & (sent <= 100.0), sent, np.nan)
-    np.testing.assert_array_equal(block.range_m, wanted)
-    np.testing.assert_array_equal(block.records(), np.arange(sent.size).reshape(sent.shape))
-    assert block.time_s is not None
-    assert block.intensity is not None
-    start = made.START_NS * 1e-9 + np.arange(made.N_LINES) * 0.02
-    np.testing.assert_allclose(block.time_s, start[:, None] + np.arange(made.M) * 1e-5, atol=1e-6)
-    lit = np.broadcast_to(np.arange(made.M), sent.shape)
-    np.testing.assert_array_equal(block.intensity, np.where(np.isnan(wanted), np.nan, lit))
-    assert block.angle_rad is not None
-    np.testing.assert_allclose(block.angle_rad, np.linspace(-1.5, 1.5, made.M), atol=1e-6)
-    assert block.tally.n_beyond == 2
-    assert block.tally.n_records == sent.size
-    assert stream.info.facts.notes == ()
-    assert (stream.info.n_lines, stream.info.points_per_line) == (made.N_LINES, made.M)
-
-
-def test_topics_and_frames_are_scanners_of_their_own(tmp_path: Path) -> None:
-    sent = [
-        *made.lasers(2, "/b", "left", 1),
-        *made.lasers(2, "/a", "one", 2),
-        *made.lasers(2, "/b", "right", 3),
-    ]
-    path = made.write_mcap(tmp_path / "three.mcap", [*sent, *made.strings(2)])
-    stream, blocks = read(path)
-    ranges = {block.scanner: block.range_m for block in blocks}
-    assert sorted(ranges) == [0, 1, 2]
-    assumptions = {
-        assumption.key: assumption.value + assumption.why for assumption in stream.info.assumptions
-    }
-    assert "0: /a (one); 1: /b (left); 2: /b (right)" in assumptions["input.scanner"]
-    np.testing.assert_array_equal(ranges[2] > 0, (made.ranges(3) > 0.1) & (made.ranges(3) < 100))
-    records = np.concatenate([block.records().ravel() for block in blocks])
-    assert np.array_equal(np.sort(records), np.arange(3 * made.N_LINES * made.M))
-    _, only = read(path, topic="/a")
-    assert {block.scanner for block in only} == {0}
-
-
 def test_echoes_are_returns(tmp_path: Path) -> None:
     store = made.STORES[1]
     lists = [[3.0, 5.0], [], [7.0], [0.01, 9.0], [200.0]]
@@ -503,26 +460,6 @@ def messages(
         ]
         sent.append(made.Sent("/points", KIND, start_ns, made.cloud(version, start_ns, table)))
     return sent
-
-
-@pytest.mark.parametrize(
-    "kinds", ["<f4,<f4,<f4,<f4,<u2,<f4", "<f4,<f4,<f4,u1,u1,<u4", ">f8,>f8,>f8,>f4,>i4,>f8"]
-)
-def test_columns_come_back_from_times(tmp_path: Path, kinds: str) -> None:
-    shots = drive()
-    time = {"<f4": "time", "<u4": "t", ">f8": "timestamp"}[kinds.rpartition(",")[2]]
-    names = ["x", "y", "z", "intensity", "ring", time]
-    dtype = np.dtype(list(zip(names, kinds.split(","), strict=True)))
-    block = joined(made.write_mcap(tmp_path / "a.mcap", messages(shots, dtype)))
-    wanted = shots["range"].reshape(300, 8)
-    np.testing.assert_allclose(block.range_m, wanted, rtol=1e-5)
-    assert block.time_s is not None
-    np.testing.assert_allclose(
-        block.time_s - made.START_NS * 1e-9, shots["time"].reshape(300, 8), atol=1e-6
-    )
-    assert block.tally.n_records == np.isfinite(wanted).sum()
-    records = block.records()
-    assert np.array_equal(np.sort(records[records >= 0]), np.arange(np.isfinite(wanted).sum()))
 
 
 @pytest.mark.slow

@@ -12,7 +12,6 @@ import pytest
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.bags.read import BagStream
-from prc_cli.formats.bags.times import find_turning
 from prc_cli.formats.options import InputConfig
 from tests.formats.bags import recordings as made
 from tests.formats.bags.test_read import KIND, drive, joined
@@ -207,14 +206,3 @@ def test_clouds_that_cannot_be_read_say_which_field_is_missing(
     assert "not supported" in caught.value.hint
     with pytest.raises(InputError, match="not supported"):
         joined(path, topic="/points")
-
-
-@pytest.mark.parametrize("width_deg", [30.0, 80.0, 180.0, 300.0])
-def test_the_turning_of_a_sector_is_that_of_the_scanner(width_deg: float) -> None:
-    """A turn begins in the middle of the sector, whose halves lie at both ends of the message."""
-    time_s = np.arange(2000) * 5e-5
-    azimuth = np.remainder(time_s * 10.0 * 2 * np.pi + np.pi, 2 * np.pi) - np.pi
-    use = np.abs(azimuth) < np.deg2rad(width_deg / 2)
-    turning = find_turning(np.zeros(np.count_nonzero(use), np.int64), time_s[use], azimuth[use])
-    assert turning is not None
-    assert turning.per_unit == pytest.approx(10.0, rel=0.01)

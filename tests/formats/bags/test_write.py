@@ -8,14 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.highlevel import AnyReader
 
 from prc_cli.cli import cli
 from prc_cli.config import load_config
 from prc_cli.core.errors import ConfigError, OutputError, PrcError
 from prc_cli.formats.bags.read import BagStream
 from prc_cli.formats.options import InputConfig
-from prc_cli.jobs.classify import classify
 from prc_cli.jobs.convert import convert
 from prc_cli.jobs.simulate import Beside, simulate
 from prc_cli.simulation.settings import load_settings
@@ -37,25 +35,6 @@ def whole(path: Path) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_lines_of_a_profiler_come_back_bit_for_bit(tmp_path: Path, suffix: str) -> None:
-    settings = load_settings("street", options=WALK)
-    bag = tmp_path / f"walk{suffix}"
-    archive = tmp_path / "walk.npz"
-    simulate("street", bag, settings)
-    simulate("street", archive, settings)
-    expected = np.load(archive)
-    arrays = whole(bag)
-    assert np.array_equal(arrays["range_m"], expected["range_m"], equal_nan=True)
-    assert np.array_equal(arrays["intensity"], expected["intensity"], equal_nan=True)
-    assert arrays["time_s"] == pytest.approx(expected["time_s"], abs=2e-8)
-    config = load_config(options={"method": "prc"})
-    classify(bag, tmp_path / "bag.npy", config)
-    classify(archive, tmp_path / "archive.npy", config)
-    assert np.array_equal(np.load(tmp_path / "bag.npy"), np.load(tmp_path / "archive.npy"))
-    assert (bag.parent / "metadata.yaml").is_file() == (suffix == ".db3")
-
-
-@pytest.mark.parametrize("suffix", SUFFIXES)
 def test_a_simulated_scanner_is_classified_and_compared(tmp_path: Path, suffix: str) -> None:
     bag = tmp_path / f"spin{suffix}"
     labels = tmp_path / "labels.npy"
@@ -68,53 +47,6 @@ def test_a_simulated_scanner_is_classified_and_compared(tmp_path: Path, suffix: 
     assert scores["match"]["n_matched"] == made.counts.n_shots
     assert scores["classes"]["ground"]["recall"] > 0.8
     assert scores["classes"]["building"]["recall"] > 0.4
-
-
-def test_clouds_have_the_shots_in_the_order_of_their_times(tmp_path: Path) -> None:
-    bag = tmp_path / "spin.bag"
-    made = simulate("street", bag, load_settings("street", options={**SPIN, "flake_m": 50.0}))
-    with AnyReader([bag]) as reader:
-        (connection,) = reader.connections
-        assert (connection.topic, connection.msgtype) == ("/points", "sensor_msgs/msg/PointCloud2")
-        times = []
-        codes = []
-        for _, _, data in reader.messages():
-            cloud = reader.deserialize(data, connection.msgtype)
-            assert [field.name for field in cloud.fields] == [
-                "x",
-                "y",
-                "z",
-                "intensity",
-                "ring",
-                "label",
-                "time",
-                "scan_line",
-            ]  # type: ignore[attr-defined]
-            rows = cloud.data.reshape(-1, cloud.point_step)  # type: ignore[attr-defined]
-            stamp = cloud.header.stamp  # type: ignore[attr-defined]
-            times.append(
-                stamp.sec
-                + stamp.nanosec * 1e-9
-                + rows[:, 20:24].copy().view("<f4")[:, 0].astype(float)
-            )
-            codes.append(rows[:, 18:20].copy().view("<u2")[:, 0])
-    assert len(times) == 3
-    assert (np.diff(np.concatenate(times)) > -1e-7).all()
-    counts = {row.code: row.count for row in made.record.classes}
-    assert {int(code): int((np.concatenate(codes) == code).sum()) for code in counts} == counts
-    assert counts[7] > 1000, "snow"
-
-
-def test_staggered_rings_are_put_back_into_their_lines(tmp_path: Path) -> None:
-    settings = load_settings("street", options=SPIN)
-    bag = tmp_path / "spin.mcap"
-    archive = tmp_path / "spin.npz"
-    simulate("street", bag, settings)
-    simulate("street", archive, settings)
-    expected = np.load(archive)["range_m"]
-    ranges = whole(bag)["range_m"]
-    assert np.array_equal(np.isnan(ranges), np.isnan(expected))
-    assert np.nanmax(np.abs(ranges - expected)) < 1e-4
 
 
 def test_an_archive_of_a_spinning_scanner_is_in_order(tmp_path: Path) -> None:
@@ -164,20 +96,6 @@ def with_times(folder: Path, change: Callable[[np.ndarray], None]) -> Path:
     change(arrays["time_s"])
     np.savez(path, **arrays)
     return path
-
-
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_shots_without_a_time_lie_between_others(tmp_path: Path, suffix: str) -> None:
-    def change(time_s: np.ndarray) -> None:
-        time_s[3, :5] = time_s[3, -7:] = time_s[4, 100] = np.nan
-
-    source = with_times(tmp_path, change)
-    bag = tmp_path / f"o{suffix}"
-    convert(source, bag, load_config(options={"input": {"order": "trust"}}))
-    times = whole(bag)["time_s"]
-    expected = np.load(source)["time_s"]
-    known = np.isfinite(expected)
-    assert times[known] == pytest.approx(expected[known], abs=2e-8)
 
 
 @pytest.mark.parametrize("value", [np.nan, -5.0, 1e12])

@@ -60,19 +60,6 @@ def test_every_form_gives_the_same_values(tmp_path: Path, form: str) -> None:
         np.testing.assert_array_equal(found[name], made[expected])
 
 
-def test_other_elements_and_lists_behind_the_points_are_passed_over(tmp_path: Path) -> None:
-    path = tmp_path / "a.ply"
-    head = (
-        "ply\nformat binary_little_endian 1.0\nelement camera 2\nproperty double "
-        "f\nelement vertex 2\n"
-        "property float range\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    path.write_bytes(
-        head.encode() + bytes(16) + np.array([1.5, 2.5], "<f4").tobytes() + b"\x01\0\0\0\0"
-    )
-    assert read(opened(path), ("range",))["range"].tolist() == [1.5, 2.5]
-
-
 def test_returns_that_are_listed_again_are_not_shots(tmp_path: Path) -> None:
     """The list of a shot is written anew with every return that is added."""
     path = tmp_path / "a.ply"
@@ -319,24 +306,6 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ]
     ) in (0, 4)
     return folder
-
-
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_drive_read_back_has_the_same_labels(drive: Path, tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"s.{suffix}"
-    assert run(["convert", str(drive / "s.npz"), str(path), "-q"]) == 0
-    first, again = (
-        join(list(open_input(Input.of(source), InputConfig()).blocks()))
-        for source in (drive / "s.npz", path)
-    )
-    np.testing.assert_array_equal(first.range_m, again.range_m)
-    assert run(
-        ["classify", str(path), str(tmp_path / "l.npy"), "--preset", "prc-2019-urban", "-q"]
-    ) in (
-        0,
-        4,
-    )
-    np.testing.assert_array_equal(np.load(tmp_path / "l.npy"), np.load(drive / "s.npy").ravel())
 
 
 @pytest.mark.parametrize("form", ["ascii", "binary_big_endian"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -123,32 +122,6 @@ def test_chunks_change_nothing(
         assert equal(block.xyz_m, one.xyz_m)  # type: ignore[arg-type]
         assert equal(block.record, one.record)  # type: ignore[arg-type]
         assert block.tally == one.tally
-
-
-@pytest.mark.parametrize(("rule", "chosen"), [("first", 1), ("last", 2), ("strongest", 0)])
-def test_several_points_of_a_cell_are_returns_of_a_shot(
-    tmp_path: Path, rule: Any, chosen: int
-) -> None:
-    fields = {
-        "cartesianX": np.array([5.0, 4.0, 9.0, 3.0]),
-        "cartesianY": np.zeros(4),
-        "cartesianZ": np.zeros(4),
-        "intensity": np.array([0.9, 0.1, 0.2, 0.3]),
-        "rowIndex": np.array([1, 1, 1, 0]),
-        "columnIndex": np.array([0, 0, 0, 1]),
-        "returnIndex": np.array([1, 0, 2, 0]),
-    }
-    (block,) = scans_of(
-        E57Stream(write_e57(tmp_path / "a.e57", [Scan(fields)]), InputConfig(**{"return": rule}))
-    )
-    assert block.records().tolist() == [[-1, chosen], [3, -1]]
-    assert sorted(block.extra.record.tolist()) == sorted({0, 1, 2} - {chosen})
-    assert block.extra.column.tolist() == [1, 1]
-    assert block.extra.line.tolist() == [0, 0]
-    assert (block.tally.n_extra_returns, block.tally.n_collisions) == (2, 0)
-    del fields["returnIndex"]
-    (block,) = scans_of(E57Stream(write_e57(tmp_path / "b.e57", [Scan(fields)]), AUTO))
-    assert (block.tally.n_extra_returns, block.tally.n_collisions) == (0, 2)
 
 
 def without(*names: str, **added: Array) -> dict[str, Array]:

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import csv
 import gzip
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from pyarrow import parquet
 
-from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import InputError, PrcError
 from prc_cli.formats.labels import open_codes
-from prc_cli.formats.writing import base as base_module
-from tests.formats.common import URBAN, random_labels, record_blocks, write
 
 CODES = [2, 2, 7, 0, 64, 5]
 
@@ -43,21 +38,6 @@ def refused(path: Path, dimension: str | None = None) -> str:
 def write_parquet(path: Path, **columns: Any) -> Path:
     parquet.write_table(pa.table(columns), path)
     return path
-
-
-@pytest.mark.parametrize("dtype", ["u1", "<i2", ">i4", "i8", "u8", "f4"])
-@pytest.mark.parametrize("shape", [(6,), (2, 3)])
-@pytest.mark.parametrize("order", ["C", "F"])
-def test_npy(
-    tmp_path: Path,
-    dtype: str,
-    shape: tuple[int, ...],
-    order: Any,
-) -> None:
-    path = tmp_path / "codes.npy"
-    np.save(path, np.asarray(np.array(CODES, dtype).reshape(shape), order=order))
-    assert open_codes(path).n_records == 6
-    assert read(path) == CODES
 
 
 @pytest.mark.parametrize("packed", ["", ".gz"])
@@ -133,51 +113,7 @@ def test_rows_of_a_label_file_must_be_in_record_order(tmp_path: Path) -> None:
 SOURCE = Path("drive.bin")
 
 
-def read_back(path: Path) -> np.ndarray:
-    if path.suffix == ".npy":
-        return np.asarray(np.load(path))
-    if path.suffix == ".csv":
-        with path.open(newline="") as handle:
-            rows = list(csv.DictReader(handle))
-        assert [int(row["record"]) for row in rows] == list(range(len(rows)))
-        return np.array([int(row["class"]) for row in rows], np.uint8)
-    table = pq.read_table(path)
-    assert table["record"].to_pylist() == list(range(len(table)))
-    return np.asarray(table["class"].to_numpy())
-
-
 SUFFIXES = [".npy", ".csv", ".parquet"]
-
-
-@pytest.mark.parametrize("known", [True, False])
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_one_entry_a_record_in_record_order(
-    tmp_path: Path,
-    suffix: str,
-    known: bool,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(base_module, "CHUNK_RECORDS", 64)
-    labels = random_labels(990, (Label.MISSING, *URBAN, Label.STEM))
-    order = np.random.default_rng(5).permutation(990)
-    path = tmp_path / f"labels{suffix}"
-    record = write(
-        path, SOURCE, record_blocks(labels, order=order), n_records=990 if known else None
-    )
-    rows = read_back(path)
-    assert rows.dtype == np.uint8
-    assert np.array_equal(rows, ClassCodes().lookup()[labels])
-    assert {item.code: item.count for item in record.classes} == dict(
-        zip(*np.unique(rows, return_counts=True), strict=True)
-    )
-
-
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_the_same_run_gives_the_same_bytes(tmp_path: Path, suffix: str) -> None:
-    blocks = record_blocks(random_labels(300))
-    for name in ("a", "b"):
-        write(tmp_path / f"{name}{suffix}", SOURCE, blocks)
-    assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
 
 
 NAMED = ["ground", "Building", "car", "", "class 40", "low vegetation"]

@@ -16,7 +16,6 @@ import lazrs
 import numpy as np
 from numpy.typing import NDArray
 
-SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 Raw = NDArray[np.uint8]
 
 

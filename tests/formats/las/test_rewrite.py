@@ -18,11 +18,10 @@ from laspy.vlrs.known import ClassificationLookupVlr
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.stream import LabelledBlock
-from prc_cli.formats.las import laz as codec_module
 from prc_cli.formats.las.header import standard_bytes
 from prc_cli.formats.las.points import set_classes
 from prc_cli.formats.las.vlrs import names_of_file
-from prc_cli.formats.writing.columns import SPACING_M, OutputConfig
+from prc_cli.formats.writing.columns import OutputConfig
 from tests.formats.common import (
     FOREST,
     URBAN,
@@ -162,19 +161,6 @@ def test_an_extra_dimension_of_another_type_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("after", [".las", ".laz"])
-@pytest.mark.parametrize("before", [".las", ".laz"])
-def test_foreign_bytes_behind_the_points_are_kept(tmp_path: Path, before: str, after: str) -> None:
-    source = tmp_path / f"in{before}"
-    output = tmp_path / f"out{after}"
-    make_las(source, 6, gap=b"foreign bytes, no record of any kind", evlrs=EVLRS)
-    rewrite(source, output)
-    data = output.read_bytes()
-    position = field(data, 235, "Q")
-    assert data[position:] == b"".join(EVLRS)
-    assert data[:position].endswith(b"foreign bytes, no record of any kind")
-
-
-@pytest.mark.parametrize("after", [".las", ".laz"])
 def test_waveforms_of_several_channels_are_not_spoilt(tmp_path: Path, after: str) -> None:
     """laszip's third version mixes up waveform packets of several scanner channels."""
     source = tmp_path / "in.las"
@@ -245,14 +231,6 @@ def test_five_bits_hold_code_31_and_not_32(form: int) -> None:
         ValueError, match=rf"code 32 does not fit the five bits of point format {form}"
     ):
         set_classes(records, form, np.array([2, 32], np.uint8))
-
-
-@pytest.mark.parametrize("form", range(6, 11))
-def test_a_byte_of_its_own_holds_every_code(form: int) -> None:
-    records = np.full((2, standard_bytes(form)), 0xFF, np.uint8)
-    set_classes(records, form, np.array([32, 255], np.uint8))
-    assert records[:, 16].tolist() == [32, 255]
-    assert np.all(np.delete(records, 16, axis=1) == 0xFF)
 
 
 N = 300
@@ -348,30 +326,6 @@ def stream(seed: int = 0, **fields: Any) -> tuple[list[LabelledBlock], np.ndarra
     return blocks, ranges, labels
 
 
-@pytest.mark.parametrize("suffix", [".las", ".laz"])
-def test_a_record_for_every_return_in_order(tmp_path: Path, suffix: str) -> None:
-    angle = np.linspace(-np.pi, np.pi, M, endpoint=False)
-    blocks, ranges, labels = stream(angle_rad=angle)
-    record = write(tmp_path / f"a{suffix}", SOURCE, blocks)
-    las = laspy.read(tmp_path / f"a{suffix}")
-    line, column = np.nonzero(~np.isnan(ranges))
-    chosen = ranges[line, column]
-    assert (las.header.version.minor, las.point_format.id) == (4, 6)
-    assert las["range"].tobytes() == chosen.tobytes()
-    assert np.array_equal(las["scan_line"], line)
-    assert np.array_equal(las["column"], column)
-    assert np.array_equal(las.classification, ClassCodes().lookup()[labels[line, column]])
-    assert np.allclose(las.x, chosen * np.cos(angle[column]), atol=0.0005001)
-    assert np.allclose(las.y, chosen * np.sin(angle[column]), atol=0.0005001)
-    assert np.allclose(
-        las.z, line * SPACING_M, atol=0.0005001
-    )  # lines that nobody knows upright lie one above the other
-    assert np.allclose(las.scan_angle * 0.006, np.rad2deg(angle[column]), atol=0.0031)
-    assert np.all(las.return_number == 1)
-    assert np.all(las.number_of_returns == 1)
-    assert any("r cos(angle)" in text for text in record.notices)
-
-
 def test_xyz_time_intensity_and_scanner(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     xyz = rng.normal(0, 50, (LINES, M, 3)).astype(np.float32)
@@ -391,17 +345,6 @@ def test_xyz_time_intensity_and_scanner(tmp_path: Path) -> None:
     assert any(
         "intensities lie outside 0 to 65535 and were clipped" in text for text in record.notices
     )
-
-
-@pytest.mark.parametrize("suffix", [".las", ".laz"])
-def test_bytes_do_not_depend_on_blocks_or_batches(
-    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    blocks, ranges, labels = stream()
-    write(tmp_path / f"a{suffix}", SOURCE, blocks)
-    monkeypatch.setattr(codec_module, "_BATCH_RECORDS", M)
-    write(tmp_path / f"b{suffix}", SOURCE, [labelled(labels, range_m=ranges)])
-    assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from prc_cli.formats.las import rewrite as las_rewrite
 from prc_cli.formats.las import splice as las_splice
 from prc_cli.formats.las.header import open_bytes, read_header
 from prc_cli.formats.las.read import LasSource
-from prc_cli.formats.las.splice import LazContexts, Splice, contexts_of, find_chunks
+from prc_cli.formats.las.splice import Splice, find_chunks
 from tests.formats.common import URBAN, random_labels, record_blocks, run_record, write, writer
 from tests.formats.las.lasbytes import (
     Parsed,
@@ -119,26 +119,6 @@ def lie_about_records(data: bytearray, first: int, length: int) -> None:
 
 def lie_about_layers(data: bytearray, first: int, length: int) -> None:
     struct.pack_into("<I", data, first + length + 4, 3_000_000)
-
-
-@pytest.mark.parametrize("n_kept", [1030, 700, 0])
-def test_contexts_kept_from_reading_give_the_same_bytes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, n_kept: int
-) -> None:
-    source = tmp_path / "in.laz"
-    old = make_laz(source, 6, 1030, 50, seed=4)
-    monkeypatch.setattr(las_splice, "batch_records", lambda length, *, compressed: 4 * 50)
-    spliced, _ = labelled_copy(source, tmp_path / "spliced.laz")
-    kept = LazContexts()
-    for first in range(0, n_kept, 300):
-        part = old.records[first : min(first + 300, n_kept)]
-        kept.see(first, contexts_of(part))
-        kept.check(first, len(part))
-    if n_kept == 1030:
-        # the returns are not decoded again
-        monkeypatch.setattr("lazrs.ParLasZipDecompressor", None)
-    write(tmp_path / "again.laz", source, record_blocks(random_labels(1030)), laz_contexts=kept)
-    assert (tmp_path / "again.laz").read_bytes() == spliced.data
 
 
 @pytest.mark.parametrize("lie", [lie_about_records, lie_about_layers])

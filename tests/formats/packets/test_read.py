@@ -90,23 +90,6 @@ def test_fragments_are_put_together(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     )
 
 
-def test_lost_packets_are_missing_lines_and_said(tmp_path: Path) -> None:
-    packets = made.vlp16()
-    frames = made.framed(packets)
-    _, whole = read(made.write_pcap(tmp_path / "a.pcap", frames))
-    stream, block = read(made.write_pcap(tmp_path / "b.pcap", frames[:5] + frames[9:]))
-    assert block.n_lines == whole.n_lines
-    assert np.isnan(block.range_m[5 * 24 : 9 * 24]).all()
-    assert (block.records()[5 * 24 : 9 * 24] == -1).all()
-    kept = np.r_[0 : 5 * 24, 9 * 24 : 480]
-    np.testing.assert_array_equal(block.range_m[kept], whole.range_m[kept])
-    lost = "10.0.0.7:2368: 96 columns did not arrive (20.00%): they are lines of missing shots"
-    assert stream.info.facts.notes == (lost,)
-    result = runner().invoke(cli, ["info", str(tmp_path / "b.pcap")])
-    assert "96 columns did not arrive" in " ".join(result.output.split())
-    read(tmp_path / "b.pcap", max_gap_lines=96)
-
-
 def test_packets_that_overtook_each_other_are_put_in_order(tmp_path: Path) -> None:
     frames = made.framed(made.vlp16())
     _, whole = read(made.write_pcap(tmp_path / "a.pcap", frames))
@@ -114,15 +97,6 @@ def test_packets_that_overtook_each_other_are_put_in_order(tmp_path: Path) -> No
     _, block = read(made.write_pcap(tmp_path / "b.pcap", swapped))
     np.testing.assert_array_equal(block.range_m, whole.range_m)
     assert block.tally.n_unplaced == 0
-
-
-def test_a_pause_of_the_recording_is_shortened_and_said(tmp_path: Path) -> None:
-    frames = made.framed(made.vlp16())
-    path = made.write_pcap(tmp_path / "a.pcap", frames[:5] + frames[9:])
-    stream, block = read(path, max_gap_lines=50)
-    assert block.n_lines == 480 - 96 + 50
-    (note,) = stream.info.facts.notes
-    assert "a pause of 96 columns" in note
 
 
 @pytest.mark.parametrize(

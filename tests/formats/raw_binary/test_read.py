@@ -26,27 +26,6 @@ WIDE = Layout(
 )
 
 
-def wide_records(n: int) -> np.ndarray[Any, Any]:
-    """Records of the layout WIDE, written field by field, with rubbish in the padding."""
-    rng = np.random.default_rng(4)
-    fields = [
-        ("flags", "u1"),
-        ("range", ">u4"),
-        ("angle", ">f4"),
-        ("time", ">f8"),
-        ("column", ">u2"),
-        ("pad", "S5"),
-    ]
-    records = np.zeros(n, fields)
-    records["flags"] = rng.integers(0, 255, n)
-    records["range"] = rng.integers(0, 3, n) * 1500
-    records["angle"] = rng.uniform(-90, 90, n)
-    records["time"] = np.arange(n) * 0.25
-    records["column"] = np.arange(n) % 7
-    records["pad"] = b"\xff\xff\xff\xff\xff"
-    return records
-
-
 def read(source: RawBinarySource, *names: str) -> dict[str, np.ndarray[Any, Any]]:
     chunks = list(source.chunks(names))
     assert [chunk.first_record for chunk in chunks] == list(
@@ -55,33 +34,6 @@ def read(source: RawBinarySource, *names: str) -> dict[str, np.ndarray[Any, Any]
     assert all(chunk.record is None and set(chunk.values) == set(names) for chunk in chunks)
     assert all(len(array) == chunk.n for chunk in chunks for array in chunk.values.values())
     return {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}
-
-
-@pytest.mark.parametrize("chunk", [1, 3, 50, 1000])
-def test_every_field_of_a_layout_in_chunks_of_any_size(tmp_path: Path, chunk: int) -> None:
-    path = tmp_path / "wide.raw"
-    records = wide_records(50)
-    path.write_bytes(b"HEAD\n" + records.tobytes())
-    source = RawBinarySource(path, WIDE, chunk)
-    assert source.n_records == 50
-    assert source.dimensions == ("range", "column", "angle", "time", "flags")
-    assert source.format == "raw binary"
-    values = read(source, "time", "range", "angle", "column", "flags")
-    stored = records["range"].astype(np.float64)
-    np.testing.assert_array_equal(values["range"], np.where(stored == 0, np.nan, stored * 0.001))
-    np.testing.assert_array_equal(values["angle"], np.deg2rad(records["angle"].astype(np.float64)))
-    np.testing.assert_array_equal(values["time"], records["time"])
-    np.testing.assert_array_equal(values["column"], records["column"])
-    np.testing.assert_array_equal(values["flags"], records["flags"])
-
-
-def test_fat_records_make_short_chunks(tmp_path: Path) -> None:
-    path = tmp_path / "fat.raw"
-    path.write_bytes(b"\0" * (3 << 20))
-    layout = Layout(record_bytes=1 << 20, fields=(LayoutField(name="range"),))
-    source = RawBinarySource(path, layout)
-    assert source.body.n_at_once == 16
-    assert source.n_records == 3
 
 
 @pytest.mark.parametrize(

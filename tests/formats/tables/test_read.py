@@ -53,11 +53,3 @@ def test_what_cannot_be_read(tmp_path: Path) -> None:
         ConfigError, match="no dimension 'time' in the file; it has: scan_line, range"
     ):
         columns(tmp_path / "a.npz", "time")
-
-
-def test_numbers_of_a_dictionary_are_numbers(tmp_path: Path) -> None:
-    ring = pa.array(np.arange(100, dtype=np.uint8) % 32).dictionary_encode()
-    table = pa.table({"x": np.arange(100.0), "ring": ring, "name": pa.array(["a"] * 100)})
-    parquet.write_table(table, tmp_path / "a.parquet")
-    read = columns(tmp_path / "a.parquet", "ring")
-    np.testing.assert_array_equal(read["ring"], np.arange(100) % 32)

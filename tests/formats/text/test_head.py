@@ -61,22 +61,6 @@ def test_names_are_found(
     np.testing.assert_allclose(np.rad2deg(values["angle"]), [row[2] for row in ROWS])
 
 
-def test_units_of_their_own_row_count(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.csv", "scan_line,column,angle,range\n-,-,gon,[mm]\n", ",")
-    values = next(iter(TextSource(path).chunks(NAMES))).values
-    np.testing.assert_allclose(values["range"], [row[3] / 1000 for row in ROWS])
-    np.testing.assert_allclose(np.rad2deg(values["angle"]), [row[2] * 0.9 for row in ROWS])
-
-
-def test_row_names_of_r_have_no_name(tmp_path: Path) -> None:
-    head = '"scan_line" "column" "angle" "range"\n'
-    source = TextSource(write(tmp_path / "a.txt", head, has_row_names=True))
-    assert source.text.names == ("", *NAMES)
-    np.testing.assert_allclose(
-        next(iter(source.chunks(("range",)))).values["range"], [row[3] for row in ROWS]
-    )
-
-
 @pytest.mark.parametrize("suffix", [".xyz", ".asc", ".pts", ".txt"])
 def test_a_count_of_rows_is_no_row(tmp_path: Path, suffix: str) -> None:
     source = TextSource(write(tmp_path / f"a{suffix}", "30\n"))

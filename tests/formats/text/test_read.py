@@ -70,26 +70,6 @@ def problem(
 # --- found by looking
 
 
-@pytest.mark.parametrize(
-    ("header", "dimensions"),
-    [
-        ("RANGE,Scan_Line,COL", ("range", "scan_line", "column")),
-        ("distance,scanline,column", ("range", "scan_line", "column")),
-        ("r,t,x,y,z,intensity", ("range", "time", "x", "y", "z", "intensity")),
-        ("range,range_m,r", ("range", "range_m", "r")),
-        ("gps_time,time_s,label", ("time", "time_s", "label")),
-        ("return_number,number_of_returns,range", ("range", "return_number", "number_of_returns")),
-        ('"range","a b"', ("range", "a b")),
-        ("theta,x", ("x", "theta")),
-        ("Range [m],azimuth_gon,zenith", ("range", "angle", "azimuth_gon")),
-        ("range,,x", ("range", "x", "1")),
-    ],
-)
-def test_names_in_the_header(tmp_path: Path, header: str, dimensions: tuple[str, ...]) -> None:
-    row = ",".join("1" for _ in header.split(","))
-    assert TextSource(write(tmp_path, f"{header}\n{row}\n")).dimensions == dimensions
-
-
 # --- cells, lines, compressions
 
 
@@ -253,26 +233,6 @@ def test_rows_are_found_among_any_lines_that_are_none(
     columns = read(TextSource(path, None, block_bytes), "range", "time")
     np.testing.assert_array_equal(columns["range"], [1.0, 3.0])
     np.testing.assert_array_equal(columns["time"], [2.0, 4.0])
-
-
-def cloud_values(path: Path, text: str, layout: Layout | None = None) -> dict[str, list[float]]:
-    path.write_text(text)
-    source = Input.of(path, layout).records()
-    assert source is not None
-    (chunk,) = source.chunks(source.dimensions)
-    return {name: np.round(column, 9).tolist() for name, column in chunk.values.items()}
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "range;z\n1,5;2\n-3,25;4,5\n",
-        "range z\n1,5 2\n-3,25 4,5\n",
-        "range\tz\n1,5\t2\n-3,25\t4,5\n",
-    ],
-)
-def test_decimal_commas_are_found(tmp_path: Path, text: str) -> None:
-    assert cloud_values(tmp_path / "a.csv", text) == {"range": [1.5, -3.25], "z": [2, 4.5]}
 
 
 @pytest.mark.parametrize("cell", ['"1\r2"', '"1"\r2', '"' + "1" * 140_000 + '"x'])

@@ -29,12 +29,6 @@ def write(path: Path, n_turns: int) -> Path:
     return path
 
 
-def test_a_turn_in_text_is_a_frame(tmp_path: Path) -> None:
-    info = open_input(Input.of(write(tmp_path / "a.csv", 1)), InputConfig()).info
-    assert info.points_per_line == 16
-    assert info.n_lines == 360
-
-
 def test_several_turns_are_named_and_the_hint_reads_them(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", 3)
     with pytest.raises(InputError, match="the file holds 3.0 turns") as caught:
@@ -61,11 +55,6 @@ def write_veloview(path: Path, n_turns: int) -> Path:
     formats = ["%.6f"] * 3 + ["%d", "%d", "%.3f", "%d"]
     np.savetxt(path, table, delimiter=",", header=NAMES, comments="", fmt=formats)
     return path
-
-
-def test_a_frame_of_veloview_is_a_turn(tmp_path: Path) -> None:
-    info = open_input(Input.of(write_veloview(tmp_path / "a.csv", 1)), InputConfig()).info
-    assert (info.points_per_line, info.n_lines) == (16, 360)
 
 
 def test_several_frames_of_veloview_are_named(tmp_path: Path) -> None:

@@ -56,13 +56,5 @@ def test_a_sector_on_other_axes_is_a_doubt(width_deg: float) -> None:
         assert finding.verdict is expected
 
 
-def test_rings_that_are_no_cones_are_a_doubt() -> None:
-    mixed = np.random.default_rng(2).permuted(ring_shots(360.0), axis=1)
-    finding = asked(mixed)
-    assert finding is not None
-    assert finding.verdict is Verdict.DOUBTFUL
-    assert "around another axis" not in finding.found
-
-
 def test_columns_that_are_no_rings_are_not_asked() -> None:
     assert asked(ring_shots(60.0) + np.array([0.0, 0.0, 1.7]), has_rings=False) is None

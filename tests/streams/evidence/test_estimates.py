@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import gzip
 from collections.abc import Iterator
-from itertools import pairwise
 from pathlib import Path
 
 import laspy
@@ -16,12 +15,11 @@ from prc_cli.cli import main
 from prc_cli.config import LoadedConfig, RunConfig, load_config
 from prc_cli.core.blocks import join
 from prc_cli.core.stream import ScanBlock
-from prc_cli.core.types import F32, F64
+from prc_cli.core.types import F32
 from prc_cli.formats.input import Input
 from prc_cli.jobs.choice import choice_by_beams
 from prc_cli.jobs.info import inspect
-from prc_cli.streams.evidence import periods as estimates
-from prc_cli.streams.evidence.figures import LineSample, Window, figures_of
+from prc_cli.streams.evidence.figures import LineSample
 from prc_cli.streams.evidence.periods import estimate_points_per_line, measure_rates
 from prc_cli.streams.evidence.place import MOST_LINES, SAMPLE_LINES, place_of, place_of_blocks
 from prc_cli.streams.evidence.reading import other_reading
@@ -102,23 +100,6 @@ def drive(
     leaves = (np.abs(column - 0.7 * m) < m / 12) & (rng.random(len(line)) < 0.4)
     there = ~sky & ~leaves
     return ((line * m + column) / (line_hz * m) + 1000.0)[there], line[there], column[there]
-
-
-@pytest.mark.parametrize(("line_hz", "m"), [(54.0, 2154), (48.0, 2154), (100.0, 300)])
-@pytest.mark.parametrize("quantum", [0.0, 1e-7])
-def test_rates_are_found_where_they_are_right(line_hz: float, m: int, quantum: float) -> None:
-    """Shots a second of 54 x 2154 = 116 316, not the 103 392 of 48 lines a second."""
-    time, _, _ = drive(line_hz, m, 60)
-    if quantum:
-        time = np.round(time / quantum) * quantum
-    scan = measure_rates(time)
-    assert scan is not None
-    assert scan.shot_hz == pytest.approx(line_hz * m, rel=2e-6)
-    assert scan.line_hz == pytest.approx(line_hz, rel=2e-5)
-    assert scan.points_per_line == m
-    # the line begins in the middle of the sky
-    phase = (scan.time_origin_s - 1000) * line_hz % 1
-    assert phase == pytest.approx(0.3, abs=0.01)
 
 
 def las_of_times(path: Path, time: Array, xyz: Array) -> None:
@@ -305,13 +286,6 @@ def forest_lines(n_lines: int, *, stems: bool = True) -> F32:
     return every.astype(np.float32)
 
 
-def test_streets_and_forests_are_told() -> None:
-    street = place_of(street_lines(SAMPLE_LINES)[0], BEAM)
-    forest = place_of(forest_lines(SAMPLE_LINES), BEAM)
-    assert (street.kind, forest.kind) == ("street", "forest")
-    assert "% of the ground is smooth" in forest.why
-
-
 def test_a_road_in_the_open_is_a_street() -> None:
     road = street_lines(SAMPLE_LINES)[0]
     road[:, np.cos(BEAM) < 0.2] = np.nan
@@ -423,28 +397,6 @@ def test_a_sample_is_even_whatever_the_blocks(chunk: int, n_lines: int) -> None:
 # -- estimates
 
 
-def slow_correlation(signal: F64, valid: F64, lag: int) -> float:
-    pairs = [
-        (a, b)
-        for a, b, u, v in zip(signal, signal[lag:], valid, valid[lag:], strict=False)
-        if u and v
-    ]
-    energy = (sum(a * a for a, _ in pairs) * sum(b * b for _, b in pairs)) ** 0.5
-    whole = sum(a * a for a, u in zip(signal, valid, strict=True) if u)
-    return sum(a * b for a, b in pairs) / energy if energy > 1e-6 * whole else 0.0
-
-
-def test_autocorrelation_equals_a_plain_one() -> None:
-    rng = np.random.default_rng(2)
-    valid = (rng.random(90) < 0.7).astype(np.float64)
-    signal = np.where(valid, rng.normal(size=90), 0.0)
-    correlation = estimates._autocorrelation(signal, 60, valid)
-    np.testing.assert_allclose(
-        correlation, [slow_correlation(signal, valid, lag) for lag in range(61)], atol=1e-9
-    )
-    assert correlation.shape == (61,)
-
-
 def rough(
     n_lines: int,
     m: int,
@@ -462,71 +414,3 @@ def rough(
     )
     image[rng.random(image.shape) < gone] = np.nan
     return np.exp(image).astype(np.float32)
-
-
-def slow_quantile(pairs: list[tuple[float, float]], share: float = 0.5) -> float:
-    """Take the element of that rank; an average of two would not be an element."""
-    offs = sorted(abs(a - b) for a, b in pairs if np.isfinite(a) and np.isfinite(b))
-    return offs[int(share * (len(offs) - 1))] if len(offs) >= 1000 else np.nan
-
-
-def slow_middle(values: list[float]) -> float:
-    known = [value for value in values if not np.isnan(value)]
-    return float(np.median(known)) if known else np.nan
-
-
-@pytest.mark.parametrize(("m", "seed"), [(60, 1), (61, 2)])
-def test_figures_equal_plain_loops(m: int, seed: int) -> None:
-    windows = tuple(Window(500 * k, rough(40, m, seed + k)) for k in range(4))
-    logs = [np.log(window.range_m) for window in windows]
-    figures = figures_of(windows)
-
-    def of(pairs_of, share: float = 0.5) -> float:  # type: ignore[no-untyped-def]
-        return slow_middle([slow_quantile(pairs_of(rows), share) for rows in logs])
-
-    def apart(lag: int):  # type: ignore[no-untyped-def]
-        return lambda rows: list(
-            zip(rows.ravel()[:-lag].tolist(), rows.ravel()[lag:].tolist(), strict=True)
-        )
-
-    def columns(lag: int):  # type: ignore[no-untyped-def]
-        return lambda rows: [
-            (a, b)
-            for i in range(len(rows) - lag)
-            for a, b in zip(rows[i], rows[i + lag], strict=True)
-        ]
-
-    def amid(rows: F32) -> list[tuple[float, float]]:
-        return [(row[k], (row[k - 1] + row[k + 1]) / 2) for row in rows for k in range(1, m - 1)]
-
-    assert figures.shot == pytest.approx((of(apart(1)), of(apart(2))))
-    assert figures.line == pytest.approx(tuple(of(columns(lag)) for lag in (1, 2, 3, 4)))
-    turned_round = of(
-        lambda rows: [(a, b) for x, y in pairwise(rows) for a, b in zip(x, y[::-1], strict=True)]
-    )
-    assert figures.reversed_line == pytest.approx(turned_round)
-    assert figures.roughness == pytest.approx(of(amid))
-    # the first and the third, the second and the last
-    far = [
-        [(a, b) for a, b in zip(logs[i].ravel(), logs[i + 2].ravel(), strict=True)] for i in (0, 1)
-    ]
-    moved = of(columns(1), 0.9), float(np.median([slow_quantile(pairs, 0.9) for pairs in far]))
-    assert figures.moved == pytest.approx(moved)
-    noise = [slow_quantile(amid(np.asarray(window.range_m)), 0.05) for window in windows]
-    assert figures.noise_m == pytest.approx(np.median(noise) / (0.0627 * 1.5**0.5))
-    assert (
-        0.5
-        < figures.random
-        / of(lambda rows: [(a, b) for a in rows.ravel()[::7] for b in rows.ravel()[::11]])
-        < 2.0
-    )
-    n = 0
-    lonely = 0
-    for row in (row for rows in logs for row in rows):
-        for k in range(2, m - 2):
-            beside = [(k - 2, k - 1), (k - 1, k + 1), (k + 1, k + 2)]
-            if all(abs(row[a] - row[b]) < 0.01 for a, b in beside):
-                n = n + 1
-                lonely = lonely + bool(np.isnan(row[k]))
-    assert 50 < lonely < n == figures.n_between
-    assert figures.lonely_missing == lonely / n

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.errors import EvidenceError
-from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
+from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F32
 from prc_cli.formats.options import InputConfig
@@ -114,16 +114,6 @@ def standing(ranges: F32) -> F32:
     return (ranges[:1] * noise).astype(np.float32)
 
 
-def test_a_scan_that_is_read_rightly_is_fine() -> None:
-    for seed in (11, 12):
-        findings = asked(scan(seed))
-        assert not not_fine(scan(seed))
-        assert {"ranges", "shot-order", "line-length", "line-order", "dropouts", "returns"} <= set(
-            findings
-        )
-        assert list(findings) == sorted(findings, key=CHECK_NAMES.index)
-
-
 @pytest.mark.parametrize(
     ("misread", "check", "words"),
     [
@@ -176,12 +166,6 @@ def test_an_odd_scan_is_doubted(odd: Callable[[F32], F32], check: str) -> None:
     assert not_fine(odd(scan())).get(check) is Verdict.DOUBTFUL
 
 
-def test_findings_do_not_depend_on_blocks() -> None:
-    expected = asked(scan(), 480)
-    for lines in (1, 7, 99):
-        assert asked(scan(), lines) == expected
-
-
 def test_the_first_evidence_ends_a_long_stream() -> None:
     """Long before its end: when the sample is full for the first time."""
     read = []
@@ -197,24 +181,6 @@ def test_the_first_evidence_ends_a_long_stream() -> None:
         for _ in watched(Long(ranges), InputConfig()).blocks():
             pass
     assert len(read) < len(ranges) / 100 / 2
-
-
-def test_of_several_scanners_the_worst_is_told() -> None:
-    good = scan()
-    bad = rng().permutation(scan().ravel()).reshape(-1, M)
-
-    class Both(Arrays):
-        def blocks(self):  # type: ignore[no-untyped-def]
-            yield ScanBlock(0, good, scanner=1)
-            yield ScanBlock(0, bad, scanner=2)
-
-    stream = watched(Both(good), InputConfig(), refuses=False)
-    for _ in stream.blocks():
-        pass
-    findings = {finding.check: finding for finding in stream.observed.findings}
-    assert findings["shot-order"].verdict is Verdict.AGAINST
-    assert findings["shot-order"].found.startswith("scanner 2: ")
-    assert findings["line-length"].verdict is Verdict.FINE
 
 
 @pytest.mark.data

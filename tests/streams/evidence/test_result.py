@@ -71,12 +71,6 @@ def doubted(findings: dict[str, Finding]) -> set[str]:
     return {name for name, finding in findings.items() if finding.verdict > Verdict.FINE}
 
 
-def test_a_street_is_fine_in_all_checks() -> None:
-    findings = asked(*street())
-    assert set(findings) == NAMES
-    assert doubted(findings) == set()
-
-
 @pytest.mark.parametrize("preset", ["fused", "street-scan"])
 @pytest.mark.parametrize(
     ("columns", "is_fine"), [((0, 20), True), ((0, 0), False), ((60, 100), False)]
@@ -143,14 +137,6 @@ def test_level_surfaces_below_and_above_leave_it_open_where_up_is() -> None:
     assert down.verdict is Verdict.DOUBTFUL
     assert down.option == "--set rings.up=z"
     assert "--set rings.up=-z" in down.hint
-
-
-@pytest.mark.parametrize("shape", [(1, 9), (31, 20), (499, 2)])
-def test_too_little_to_tell_gives_no_finding(shape: tuple[int, int]) -> None:
-    labels = np.full(shape, Label.NOISE, np.uint8)
-    assert asked(np.full(shape, 3.0, np.float32), labels, np.linspace(-1, 1, shape[1])) == {}
-    assert asked(np.full((64, 100), np.nan, np.float32), np.zeros((64, 100), np.uint8), None) == {}
-    assert ResultWatch(STREET).findings() == ()
 
 
 @given(cuts=st.sets(st.integers(1, 2499), max_size=12), off_deg=st.sampled_from([0.0, 15.0]))

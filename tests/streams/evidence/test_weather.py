@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.findings import Verdict
@@ -17,12 +16,6 @@ from tests.methods.rings.test_rings import N_RINGS, scene
 def drive() -> F32:
     """Turns of a scanner in a street."""
     return np.concatenate([scene(seed)[0] for seed in (1, 2)])
-
-
-def flaky(range_m: F32, share: float) -> F32:
-    random = np.random.default_rng(1)
-    near = random.exponential(4.0, range_m.shape).astype(np.float32) + np.float32(1)
-    return np.where((random.random(range_m.shape) < share) & (near < range_m), near, range_m)
 
 
 def verdicts_of(range_m: F32, *, has_rings: bool = True) -> dict[str, Verdict]:
@@ -40,14 +33,6 @@ def verdicts_of(range_m: F32, *, has_rings: bool = True) -> dict[str, Verdict]:
         has_rings=has_rings,
     )
     return {finding.check: finding.verdict for finding in ask_all(seen)}
-
-
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.3])
-def test_flakes_are_left_out_where_order_is_judged(share: float) -> None:
-    verdicts = verdicts_of(flaky(drive(), share))
-    assert {verdicts[name] for name in ("shot-order", "line-order") if name in verdicts} == {
-        Verdict.FINE
-    }
 
 
 def test_shuffled_lines_and_shots_are_disorder_all_the_same() -> None:

@@ -131,22 +131,6 @@ def test_cells_are_those_of_the_raw_stream(tmp_path: Path) -> None:
     assert_like_raw(cells(tmp_path / "drive.laz", cloud), cloud)
 
 
-def test_a_shuffled_cloud_has_the_same_cells(tmp_path: Path) -> None:
-    cloud = drive()
-    order = np.random.default_rng(1).permutation(len(cloud.time_s))
-    in_order = cells(tmp_path / "drive.laz", cloud)
-    mixed = cells(tmp_path / "mixed.laz", cloud.take(order))
-    for expected, values in zip(in_order, mixed, strict=True):
-        np.testing.assert_array_equal(values, expected[order])
-
-
-def test_a_tile_has_the_ranges_of_the_raw_stream(tmp_path: Path) -> None:
-    cloud = tile(drive())
-    by_time = np.argsort(cloud.time_s)
-    line, column, range_m = cells(tmp_path / "tile.laz", cloud)
-    assert_like_raw((line[by_time], column[by_time], range_m[by_time]), cloud.take(by_time))
-
-
 def test_two_passes_are_two_streams(tmp_path: Path) -> None:
     passes = drive(), later(drive(5.0), 600.0)
     cloud = shuffled(both(*passes))

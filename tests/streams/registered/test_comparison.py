@@ -67,17 +67,6 @@ def moved(
     )
 
 
-@pytest.mark.parametrize("clock_s", [0.0012, -0.25, 17.3, -604_800.4])
-def test_the_clock_is_found_to_a_tenth_of_a_millisecond_with_the_lever_arm(clock_s: float) -> None:
-    path, trajectory = tile_and_drive()
-    comparison = compare(path, moved(trajectory, clock_s=-clock_s))
-    assert comparison.clock_s == pytest.approx(clock_s, abs=1e-3)
-    assert abs(comparison.clock_s - clock_s) < 4 * comparison.clock_sigma_s
-    assert comparison.lever_m == pytest.approx(ARM, abs=0.01)
-    assert comparison.spread_m < 0.01
-    assert not comparison.misfit
-
-
 def test_the_true_trajectory_is_left_as_it_is() -> None:
     path, trajectory = tile_and_drive(arm=np.zeros(3))
     comparison = compare(path, trajectory)
@@ -131,14 +120,3 @@ def test_other_coordinates_and_other_drives_are_named(change: object, words: str
     path, trajectory = tile_and_drive()
     comparison: Comparison = compare(path, change(trajectory))  # type: ignore[operator]
     assert re.search(words, comparison.misfit), comparison.misfit
-
-
-def test_a_street_that_is_passed_twice_is_matched_with_its_own_pass() -> None:
-    path, trajectory = tile_and_drive()
-    again = trajectory.xyz_m[4000:9000] + np.random.default_rng(2).normal(0.0, 0.3, 3)
-    slower = np.arange(len(again)) * 0.0125
-    both = Positions(
-        np.concatenate([trajectory.time_s, 200.0 + slower]),
-        np.concatenate([trajectory.xyz_m, again]),
-    )
-    assert compare(path, moved(both, clock_s=-3.0)).clock_s == pytest.approx(3.0, abs=1e-3)

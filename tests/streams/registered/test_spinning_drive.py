@@ -12,7 +12,7 @@ from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.open import open_input
 from prc_cli.streams.registered.scanner_paths import scanner_paths
-from prc_cli.streams.registered.spinning_drive import judge_rings, with_returns
+from prc_cli.streams.registered.spinning_drive import judge_rings
 from tests.streams.registered.spinning_clouds import Cloud, spinning_cloud, station
 
 EVEN = np.arange(-15.0, 16.0, 2.0)
@@ -59,23 +59,6 @@ def test_a_shuffled_cloud_becomes_lines_of_firings_and_columns_of_rings(tmp_path
     assert np.median(off_m) < 0.02, off_m
     assert off_m.max() < 0.2, off_m
     assert np.isfinite(path.sigma_m).all()
-
-
-def test_points_of_one_shot_are_its_returns_from_near_to_far() -> None:
-    rows = np.zeros(
-        5,
-        [
-            ("scan_line", "i4"),
-            ("column", "i4"),
-            ("return_number", "u1"),
-            ("number_of_returns", "u1"),
-        ],
-    )
-    rows["scan_line"] = [0, 0, 0, 1, 1]
-    rows["column"] = [-1, -1, 3, 3, 3]
-    numbered = with_returns(rows)
-    assert numbered["return_number"].tolist() == [1, 1, 1, 1, 2]
-    assert numbered["number_of_returns"].tolist() == [1, 1, 1, 2, 2]
 
 
 def test_rings_that_points_lie_between_are_doubted_then_refused() -> None:
