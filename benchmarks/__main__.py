@@ -12,7 +12,7 @@ FOLDER = Path(__file__).resolve().parent
 
 
 def minutes_by_module() -> dict[str, str]:
-    """Return how long the benchmarks took that wrote the pages in ``docs/figures``."""
+    """Return how long the benchmarks took that wrote the pages in ``figures``."""
     minutes = {}
     for path in FIGURES.glob("*.md"):
         text = path.read_text(encoding="utf-8")

@@ -1,7 +1,7 @@
 """Classification before registration beside one after it (CAR), on a simulated drive with known
 classes.
 
-    python -m benchmarks.car             # writes docs/figures/car.md
+    python -m benchmarks.car             # writes figures/car.md
     python -m benchmarks.car --length 40 --page /tmp/page.md
     # the section on Oakland's registered points, in the same page
     python -m benchmarks.car --oakland
@@ -32,7 +32,7 @@ from benchmarks.user import run
 from prc_cli.core.types import F64, I64, Mask
 
 OAKLAND = "## Oakland's registered points"
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "figures" / "car.md"
+PAGE = Path(__file__).resolve().parent.parent / "figures" / "car.md"
 ERROR_M = 0.02
 THINNED_M = 0.05
 TILE_M = 40.0

@@ -4,7 +4,7 @@ Its table, and how often labels of every confidence are right.
 
     python -m benchmarks.confidence calibrate  # makes prc_cli/methods/fused/confidence.json
     python -m benchmarks.confidence check  # reliability on other streets and forests, for choosing
-    python -m benchmarks.confidence report  # docs/figures/confidence.md, seeds that decided nothing
+    python -m benchmarks.confidence report  # figures/confidence.md, seeds that decided nothing
 
 Calibrated on seeds 2601 to 2699, chosen on 2701 to 2799, reported on 2901 to 2999 and on the
 labelled real scans of ../shared/data or $PRC_DATA. A label is right if it is the class of the
@@ -478,7 +478,7 @@ def report(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
     print(heading("Confidence: figures", "confidence"))
     print(
         "What the byte means is [described "
-        f"here](../confidence.md).\n\n```console\n{COMMANDS}\n```\n\n{ABOUT}"
+        f"here](../docs/confidence.md).\n\n```console\n{COMMANDS}\n```\n\n{ABOUT}"
     )
     lines: dict[str, list[tuple[str, float, float, float]]] = {}
     for environment in environments:
@@ -495,7 +495,7 @@ def report(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
 
 
 COMMANDS = """$ python -m benchmarks.confidence calibrate  # after any change of fused
-$ python -m benchmarks.confidence report > docs/figures/confidence.md
+$ python -m benchmarks.confidence report > figures/confidence.md
 """
 
 

@@ -1,6 +1,6 @@
 """The contest: both papers, the fused method and filters of registered clouds on the same points.
 
-    python -m benchmarks.contest > docs/figures/contest.md
+    python -m benchmarks.contest > figures/contest.md
     python -m benchmarks.contest --quick                  # three scans, no filters
     python -m benchmarks.contest summary things           # some of the parts
     python -m benchmarks.contest --only KITTI             # scans whose name or group holds a text
@@ -462,8 +462,8 @@ def main() -> None:
     for item in sets if set(parts) - {"speed"} else ():
         item.run(METHODS, chains)
     print(heading("The contest: figures", "contest"))
-    say("""Generated tables behind [the accuracy of prc](../accuracy.md). Parameters are those of
-    the presets and the same for all scans, except where a row says otherwise. Tuning used other
+    say("""Generated tables behind [the accuracy of prc](../docs/accuracy.md). Parameters are those
+    of the presets and the same for all scans, except where a row says otherwise. Tuning used other
     streets and the first Oakland strip, which is shown but not counted. Classes of the macro F1:
     noise, ground, building, vegetation; in forests also stems. Cars, poles and curbs have tables of
     their own. Signs, wires and people are not scored; the confusion tables show what they are

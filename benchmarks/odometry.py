@@ -2,7 +2,7 @@
 
 Simulated drives of spinning scanners, with and without some classes.
 
-    python -m benchmarks.odometry > docs/figures/odometry.md
+    python -m benchmarks.odometry > figures/odometry.md
     python -m benchmarks.odometry --picture docs/images/odometry_paths.png  # draw paths, too
     python -m benchmarks.odometry --frames 100 --seeds 11 12 13 --scenes snow
 

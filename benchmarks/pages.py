@@ -27,7 +27,7 @@ from prc_cli.core.version import __version__
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("PRC_DATA", ROOT.parent / "shared" / "data"))
 """Real scans, which are not part of the project."""
-FIGURES = ROOT / "docs" / "figures"
+FIGURES = ROOT / "figures"
 WRITTEN_BY = "<!-- written by python -m benchmarks."
 TOOK = "<!-- took "
 

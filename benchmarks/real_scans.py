@@ -1,7 +1,7 @@
-"""Classify and evaluate the real scans, and print the page docs/figures/real_scans.md.
+"""Classify and evaluate the real scans, and print the page figures/real_scans.md.
 
     # reads ../shared/data or $PRC_DATA
-    python -m benchmarks.real_scans > docs/figures/real_scans.md
+    python -m benchmarks.real_scans > figures/real_scans.md
 
 Each table names the commands that give the same figures one by one.
 """

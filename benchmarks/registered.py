@@ -1,6 +1,6 @@
 """Labels of registered clouds (``--range points``) beside the labels of their raw streams.
 
-    python -m benchmarks.registered > docs/figures/registered.md
+    python -m benchmarks.registered > figures/registered.md
     python -m benchmarks.registered photon tiles      # cases whose names contain a word
 
 A cloud has the coordinates (1 mm), times and returns of a simulated drive, without ranges, lines

@@ -1,7 +1,7 @@
 """Labels of spinning scanners on real labelled frames, beside Patchwork++ where it is installed.
 
     # frames whose names begin so; all by default
-    python -m benchmarks.rings [NAME ...] > docs/figures/rings.md
+    python -m benchmarks.rings [NAME ...] > figures/rings.md
 
 Every frame is a file of its own, read by ``prc_cli.classify`` with nothing told. Ground is judged
 in three ways: with vegetation left out, with vegetation lower than 1.3 m below the scanner as

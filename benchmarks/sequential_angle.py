@@ -2,7 +2,7 @@
 
 Simulated static scans beside the paper's Table 1, and our readings one at a time.
 
-    python -m benchmarks.sequential_angle > docs/figures/sequential_angle.md    # minutes
+    python -m benchmarks.sequential_angle > figures/sequential_angle.md    # minutes
     python -m benchmarks.sequential_angle readings                              # one of the parts
 
 Each table names the commands that give the same figures."""

@@ -1,6 +1,6 @@
 """Figures of simulated scans: the papers' tables, and statistics beside real scans.
 
-    python -m benchmarks.simulated > docs/figures/simulation.md     # everything, minutes
+    python -m benchmarks.simulated > figures/simulation.md     # everything, minutes
     python -m benchmarks.simulated urban speed                      # some of the parts
 
 Reads ../shared/data or $PRC_DATA for the real scans. Each table names the commands that give the

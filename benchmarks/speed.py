@@ -1,6 +1,6 @@
 """Speed and memory: rates in memory, files, LAS, peak memory, latency and start.
 
-    python -m benchmarks.speed > docs/figures/speed.md     # all parts, on a quiet machine
+    python -m benchmarks.speed > figures/speed.md     # all parts, on a quiet machine
     python -m benchmarks.speed las files                   # some of them
     python -m benchmarks.speed --lines 600                 # short inputs, to try the program
 
@@ -484,8 +484,8 @@ def main() -> None:
         parser.error(f"no part {unknown[0]}; there are {', '.join(PARTS)}")
     load_classifier(load_config(preset="prc-2019-urban"))
     print(heading("Speed and memory: figures", "speed"))
-    print("What the tables mean: [Speed and memory](../speed.md).\n")
-    commands("python -m benchmarks.speed > docs/figures/speed.md")
+    print("What the tables mean: [Speed and memory](../docs/speed.md).\n")
+    commands("python -m benchmarks.speed > figures/speed.md")
     for name in arguments.parts or PARTS:
         with tempfile.TemporaryDirectory() as folder:
             PARTS[name](Path(folder), arguments.lines)

@@ -3,12 +3,11 @@
 ``--check`` fails when a page on disk differs. Run ``python docs/generate.py`` after changing an
 option, a parameter or a class code, and after a benchmark wrote its page of figures.
 
-A figure in prose is a link to the page of its table. The title of the link names the cell, and its
-text is written anew with as many digits as it has:
-``[.527](figures/sequential_angle.md#readings-one-at-a-time "car.fourier.window = 0 > car
-recall")``.
+A figure in prose is followed by a comment that names its cell in a page of ``figures/``. The figure
+is written with as many digits as it has, and a reader of the page sees the figure only:
+``0.527<!-- sequential_angle.md#readings: car.fourier.window = 0 > car recall -->``.
 
-- The title holds as many leading cells of the row as are needed, with ``*`` for any text, then
+- The comment holds as many leading cells of the row as are needed, with ``*`` for any text, then
   the column. Tables of two columns need no column.
 - Where several headings below the section have such a row, the heading comes first.
 - A column "precision" after "car recall" is "car precision". "A / B" is a quotient of two columns,
@@ -69,9 +68,9 @@ def _help(command: click.Command, name: str) -> str:
     with click.Context(
         command,
         info_name=name,
-        terminal_width=100,
+        terminal_width=80,
         help_option_names=settings["help_option_names"],
-        max_content_width=settings["max_content_width"],
+        max_content_width=80,
     ) as context:
         context.meta[ALL_OPTIONS] = True
         return command.get_help(context).rstrip()
@@ -272,12 +271,12 @@ def _plain(value: Any) -> str:
 
 Table = tuple[str, list[str], list[list[str]], list[str]]
 """Heading above it, names of columns, cells of rows, rows as they are written."""
-_QUOTED = re.compile(r"""\[([\d.,]+)\]\(([\w/.]+\.md)#([\w-]+)\s"([^"]*)"\)""")
+_QUOTED = re.compile(r"(\d[\d.,]*)<!-- ([\w.]+\.md)#([\w-]+): (.*?) -->", re.DOTALL)
 _ROWS = re.compile(r"<!-- rows of ([\w/.]+\.md)#([\w-]+) -->\n\n((?:\|.*\n)+)")
 _NUMBER = re.compile(r"-?\d[\d,]*\.?\d*|-?\.\d+")
 
 
-def with_figures(path: Path, text: str) -> str:
+def with_figures(path: Path, text: str, figures: Path = ROOT / "figures") -> str:
     """Return a page of prose with its figures written anew from the tables that they name.
 
     Raises
@@ -290,16 +289,16 @@ def with_figures(path: Path, text: str) -> str:
         shown, page, section, title = found.groups()
         told = " ".join(title.split())
         try:
-            value = _looked_up(tables(path.parent / page, section), told)
+            value = _looked_up(tables(figures / page, section), told)
         except (LookupError, ValueError, OSError) as error:
             raise ValueError(
                 f"{path.name}: {shown} of {page}#{section} {told!r}: {error}"
             ) from None
-        return found.group().replace(f"[{shown}]", f"[{_like(shown, value)}]", 1)
+        return found.group().replace(shown, _like(shown, value), 1)
 
     def rows(found: re.Match[str]) -> str:
         page, section, table = found.groups()
-        _, _, all_cells, lines = tables(path.parent / page, section)[0]
+        _, _, all_cells, lines = tables(figures / page, section)[0]
         known = {cells[0]: row for cells, row in zip(all_cells, lines, strict=True)}
         kept = []
         for row in table.splitlines()[2:]:
@@ -417,18 +416,19 @@ def _number(cell: str, *, is_share: bool) -> float:
 def _like(shown: str, value: float) -> str:
     """Write a value with the digits of another.
 
-    >>> _like(".53", 0.527), _like("1,200", 34567.8), _like("3", 2.9)
-    ('.53', '34,568', '3')
+    >>> _like("0.53", 0.527), _like("1,200", 34567.8), _like("3", 2.9)
+    ('0.53', '34,568', '3')
     """
     digits = len(shown.partition(".")[2])
-    text = f"{value:,.{digits}f}" if "," in shown or value >= 10_000 else f"{value:.{digits}f}"
-    return text.removeprefix("0") if shown.startswith(".") and text != "0" else text
+    return f"{value:,.{digits}f}" if "," in shown or value >= 10_000 else f"{value:.{digits}f}"
 
 
 def prose() -> dict[Path, str]:
     """Return every page that is written by hand, with its figures from the tables."""
     found = {}
-    for path in sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]):
+    for path in sorted(
+        [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "design").glob("*.md")]
+    ):
         text = path.read_text(encoding="utf-8")
         if not text.startswith("<!-- ") and (_QUOTED.search(text) or _ROWS.search(text)):
             found[path] = with_figures(path, text)

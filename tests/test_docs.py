@@ -23,13 +23,15 @@ from tests.browser import chromium
 from tests.street import angles, street
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+PAGES = sorted(
+    [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "design").glob("*.md")]
+)
 
 
 def is_written_by_hand(path: Path) -> bool:
-    generated = path.parent.name == "figures" or path.read_text(encoding="utf-8").startswith(
-        "<!-- written by"
-    )
+    generated = path.parent.name in ("figures", "design") or path.read_text(
+        encoding="utf-8"
+    ).startswith("<!-- written by")
     return not generated and path.parent != ROOT
 
 
@@ -93,7 +95,7 @@ def test_every_parameter_and_class_is_in_the_reference() -> None:
         "output",
     ):
         assert f"## [{table}]" in configuration
-    algorithm = (ROOT / "docs/algorithm.md").read_text(encoding="utf-8")
+    algorithm = (ROOT / "design/prc_2019.md").read_text(encoding="utf-8")
     for table in ("support", "background", "components", "surfaces", "urban", "forest"):
         assert f"`[prc.{table}]`" in algorithm
 
@@ -129,23 +131,23 @@ def page(tmp_path: Path) -> Path:
 
 
 def fill(page: Path, text: str) -> str:
-    filler: Callable[[Path, str], str] = GENERATE["with_figures"]
-    return filler(page, text)
+    filler: Callable[[Path, str, Path], str] = GENERATE["with_figures"]
+    return filler(page, text, page.parent)
 
 
 @pytest.mark.parametrize(
     ("shown", "title", "expected"),
     [
-        (".5", "ours > car recall", ".5"),
-        (".99", "ours > car precision", ".91"),
+        ("0.5", "ours > car recall", "0.5"),
+        ("0.99", "ours > car precision", "0.91"),
         ("0.9", "the paper > car precision", "1.0"),
         ("9", "a > up > car recall", "12"),
         ("9", "a > down > car recall", "1234"),
         ("9.9", "a > down > share of car recall", "7.5"),
-        (".10", "most of * > car precision", ".96"),
+        ("0.10", "most of * > car precision", "0.96"),
         ("1", "least of * > span", "4"),
         ("1", "Streets: all > ours > span", "4"),
-        (".10", "ours > car precision / span", ".23"),
+        ("0.10", "ours > car precision / span", "0.23"),
     ],
 )
 def test_a_figure_is_written_from_its_cell(
@@ -154,8 +156,8 @@ def test_a_figure_is_written_from_its_cell(
     title: str,
     expected: str,
 ) -> None:
-    text = f'It is [{shown}](x_figures.md#streets-all "{title}") of 3.'
-    assert fill(page, text) == text.replace(f"[{shown}]", f"[{expected}]")
+    text = f"It is {shown}<!-- x_figures.md#streets-all: {title} --> of 3."
+    assert fill(page, text) == text.replace(f" {shown}<", f" {expected}<")
 
 
 @pytest.mark.parametrize(
@@ -167,10 +169,10 @@ def test_a_figure_is_written_from_its_cell(
     ],
 )
 def test_a_figure_that_is_not_there_is_named(page: Path, title: str, problem: str) -> None:
-    with pytest.raises(ValueError, match=f"page.md: .5 of x_figures.md#streets-all .*{problem}"):
-        fill(page, f'[.5](x_figures.md#streets-all "{title}")')
+    with pytest.raises(ValueError, match=f"page.md: 0.5 of x_figures.md#streets-all .*{problem}"):
+        fill(page, f"0.5<!-- x_figures.md#streets-all: {title} -->")
     with pytest.raises(ValueError, match="no table below such a heading"):
-        fill(page, '[.5](x_figures.md#lanes "ours > span")')
+        fill(page, "0.5<!-- x_figures.md#lanes: ours > span -->")
 
 
 def test_rows_of_a_table_are_copied(page: Path) -> None:

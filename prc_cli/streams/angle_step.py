@@ -6,7 +6,7 @@ beam's angle b, for any plane and any direction of down. With even columns, ``b 
 of adjacent returns with a quadratic fitted to u: one that does not fit (leaves, edges, mixed
 returns) is dropped, one whose curvature is uncertain is not taken.
 
-docs/fused.md derives it; we found no publication that does this.
+design/fused.md derives it; we found no publication that does this.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """All limits of the forest, by name, in double precision.
 
-The loops and ``prc explain`` read them. docs/fused_forest.md says what they were chosen on.
+The loops and ``prc explain`` read them. design/fused_forest.md says what they were chosen on.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 From Lehtola et al. (2019, II-B): shots without support of their neighbours are noise; here
 neighbours are compared in the scan plane instead of in range. From Stamos et al. (2012, sec. 4):
 surfaces are classified by their direction in the scan plane; here over a chord instead of from shot
-to shot. docs/fused.md gives the equations and the reasons.
+to shot. design/fused.md gives the equations and the reasons.
 
 Only the range noise, the distance of lines and the ground depend on earlier blocks; these steps are
 short, and run block after block. All others need the block and 21 lines before and after it, 35 for

@@ -3,7 +3,7 @@
 The loops and ``prc explain`` read them.
 
 The loops of the street compute in float32, those of the forest in float64, and their limits are of
-that type. docs/fused.md says what each is worth.
+that type. design/fused.md says what each is worth.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Labels of spinning scanners with rings; docs/rings.md gives the method."""
+"""Labels of spinning scanners with rings; design/rings.md gives the method."""

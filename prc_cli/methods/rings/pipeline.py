@@ -1,7 +1,7 @@
 """The method for rings: its stages in order, and the state between blocks.
 
 A block is labelled by itself, up to the plane of the ground, which a block that shows too little of
-it takes from the blocks before. docs/rings.md gives the stages and the reasons.
+it takes from the blocks before. design/rings.md gives the stages and the reasons.
 """
 
 from __future__ import annotations

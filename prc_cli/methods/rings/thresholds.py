@@ -2,7 +2,7 @@
 
 The loops and ``prc explain`` read them.
 
-The loops compute in float64. docs/rings.md says what the limits were chosen on.
+The loops compute in float64. design/rings.md says what the limits were chosen on.
 """
 
 from __future__ import annotations

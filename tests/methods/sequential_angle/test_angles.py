@@ -99,7 +99,7 @@ def test_line_angle_is_the_angle_of_chord_and_beam(rng: Generator) -> None:
     assert 50 < n_blunt < 150
 
 
-PAGE = (Path(__file__).resolve().parents[3] / "docs" / "sequential_angle.md").read_text(
+PAGE = (Path(__file__).resolve().parents[3] / "design" / "sequential_angle.md").read_text(
     encoding="utf-8"
 )
 VALUES = dict(flatten(SequentialAngleParams().model_dump()))
