@@ -60,7 +60,8 @@ def test_python_blocks_run(path: Path, tmp_path: Path, monkeypatch: pytest.Monke
 def test_shell_examples_name_what_exists(path: Path) -> None:
     for text in [*blocks(path, "console"), *blocks(path, "text")]:
         for line in text.replace("\\\n", " ").splitlines():
-            if line.startswith("  prc "):  # a sentence of a help text: examples have four blanks
+            # a sentence of a help text: examples have four blanks
+            if line.startswith(("  prc ", " " * 6)):
                 continue
             command = re.sub(r"^\s*(Example: )?\$? ?", "", line).split(" # ")[0].split(" > ")[0]
             if command.startswith("prc "):
@@ -101,7 +102,7 @@ def test_every_parameter_and_class_is_in_the_reference() -> None:
 
 
 def test_every_preset_is_in_the_page_that_chooses() -> None:
-    page = (ROOT / "docs/getting_started.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/methods.md").read_text(encoding="utf-8")
     assert all(re.search(rf"(--preset |or )`?{preset}`", page) for preset in PRESETS)
 
 

@@ -127,7 +127,7 @@ def test_a_night_is_told_beside_those_before(settings: BatchSettings) -> None:
 
 ROOT = Path(__file__).resolve().parents[3]
 EXIT_CODES = (ROOT / "docs" / "operations.md").read_text(encoding="utf-8")
-OPERATIONS = (ROOT / "docs" / "operations.md").read_text(encoding="utf-8")
+OPERATIONS = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
 
 
 def entries() -> set[str]:

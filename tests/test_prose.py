@@ -1,0 +1,123 @@
+"""The manual is written in plain English: short sentences, short pages, and no riddles."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+LONGEST_SENTENCE = 25
+LONGEST_PAGE = 1200
+MANUAL = 28145
+"""Words of all pages by hand; 20,000 is the aim."""
+WRITTEN = "<!-- written by"
+PAGES = [
+    path
+    for path in sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+    if not path.read_text(encoding="utf-8").startswith(WRITTEN)
+]
+RIDDLES = {
+    "semicolon": r";",
+    "that of": r"\b(that|those) of\b",
+    "Where": r"^Where\b",
+    "word": r"\b(told|rightly|anew|amid|alone)\b",
+    "what is": r"\bwhat (is|was|stands|returns)\b",
+    "zero": r"(?<![\w.])\.\d\d",
+}
+
+
+def prose(text: str) -> Iterator[str]:
+    """Yield paragraphs, items of lists and cells of tables, without code, comments and links."""
+    text = re.sub(r"^( *)```.*?^ *```", "", text, flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+    text = re.sub(r"``?[^`]+``?", "code", text)
+    text = re.sub(r"!?\[([^]]*)\]\([^)]*\)", r"\1", text)
+    for block in re.split(r"\n\s*\n|\n(?=\s*(?:[-*|#]|\d+\.) ?)", text):
+        cells = block.split("|") if block.lstrip().startswith("|") else [block]
+        for cell in cells:
+            words = " ".join(re.sub(r"^\s*(?:[-*#]+|\d+\.)\s", "", cell).split())
+            if re.search(r"\w", words):
+                yield words
+
+
+def problems(text: str) -> list[str]:
+    """Return sentences that are too long and riddles, each with its place."""
+    found = []
+    for paragraph in prose(text):
+        for sentence in re.split(r"(?<=[.!?:])\s+", paragraph):
+            if len(sentence.split()) > LONGEST_SENTENCE:
+                found.append(f"{len(sentence.split())} words: {sentence}")
+            found += [
+                f"{name}: {sentence}" for name, rule in RIDDLES.items() if re.search(rule, sentence)
+            ]
+    return found
+
+
+def count_of(path: Path) -> int:
+    text = re.sub(r"<!--.*?-->", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    return len(text.split())
+
+
+LEFT: dict[str, int] = {
+    "accuracy.md": 11,
+    "bags_and_packets.md": 18,
+    "batch.md": 20,
+    "batch_files.md": 12,
+    "comparing_with_car.md": 30,
+    "confidence.md": 9,
+    "convert_thin.md": 11,
+    "directions.md": 9,
+    "evaluation.md": 27,
+    "evidence.md": 6,
+    "explain.md": 3,
+    "feed_odometry.md": 14,
+    "formats.md": 29,
+    "install.md": 1,
+    "many_machines.md": 6,
+    "methods.md": 1,
+    "objects.md": 9,
+    "operations.md": 19,
+    "outputs.md": 10,
+    "raw_and_text.md": 3,
+    "render.md": 11,
+    "simulation.md": 37,
+    "speed.md": 4,
+    "static_scans.md": 2,
+    "stream.md": 6,
+    "transfer.md": 13,
+    "troubleshooting.md": 20,
+    "window.md": 9,
+    "workflow.md": 5,
+}
+"""Problems of pages that are not rewritten yet: counted down, never up."""
+LONG: dict[str, int] = {
+    "batch.md": 1222,
+    "comparing_with_car.md": 1490,
+    "evaluation.md": 1972,
+    "formats.md": 1329,
+    "simulation.md": 1413,
+}
+"""Words of pages that are too long: counted down, never up."""
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_a_page_is_plain_english(path: Path) -> None:
+    found = problems(path.read_text(encoding="utf-8"))
+    assert len(found) <= LEFT.get(path.name, 0), "\n".join(found)
+
+
+def test_pages_and_the_manual_are_short() -> None:
+    words = {path.name: count_of(path) for path in PAGES}
+    assert words.pop("README.md") <= 600  # commands, tables and links included
+    assert sum(words.values()) <= MANUAL
+    long = {name: n for name, n in words.items() if n > LONG.get(name, LONGEST_PAGE)}
+    assert long == {}
+
+
+def test_the_rules_find_what_they_name() -> None:
+    text = "# A\n\nWhere it is, that of one; .95 is told what stands.\n\n" + "word " * 26
+    assert len(problems(text)) == 7
+    assert problems("It is `a; b` [c](d;e).\n\n```\na; b\n```\n") == []
