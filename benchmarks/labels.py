@@ -104,7 +104,7 @@ def scans(seeds: list[int], others: Path | None) -> Iterator[tuple[str, str, Mak
         yield "Argoverse", name, partial(argoverse, k)
     for file in sorted(others.iterdir()) if others else ():
         if file.suffix not in {".npy", ".json"}:
-            yield "others", file.stem, partial(other, file)
+            yield "others", file.stem, partial(scan_of_others, file)
 
 
 def written(make: Callable[[], Scan], folder: Path) -> Case:
@@ -175,7 +175,7 @@ def argoverse(k: int, folder: Path) -> Case:
     return Case(frame.path, saved(frame.codes, folder))
 
 
-def other(file: Path, _: Path) -> Case:
+def scan_of_others(file: Path, _: Path) -> Case:
     """Return a scan of another simulator, with its reference."""
     beside = file.with_name(f"{file.stem}.reference.npy")
     forest = file.stem.startswith("forest")

@@ -446,10 +446,10 @@ def _settings(options: dict[str, Any]) -> BatchSettings:
 def _params(layers: Layers) -> BatchParams:
     """Return the table ``[batch]``; a relative file in it starts at the folder of its file."""
     table = {} if layers.path is None else read_toml(layers.path)
-    own = table.get("batch")
-    mapping = own.get("mapping") if isinstance(own, Mapping) else None
-    if isinstance(own, dict) and isinstance(mapping, str) and mapping.endswith(".toml"):
-        own["mapping"] = str(Path(layers.path or "").parent / mapping)
+    batch = table.get("batch")
+    mapping = batch.get("mapping") if isinstance(batch, Mapping) else None
+    if isinstance(batch, dict) and isinstance(mapping, str) and mapping.endswith(".toml"):
+        batch["mapping"] = str(Path(layers.path or "").parent / mapping)
     params, _ = batch_params(table, layers.table, str(layers.path))
     return params
 
