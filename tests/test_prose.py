@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 LONGEST_SENTENCE = 25
 LONGEST_PAGE = 1200
-MANUAL = 28_500
+MANUAL = 25_500
 """Words of all pages by hand; 20,000 is the aim."""
 WRITTEN = "<!-- written by"
 PAGES = [
@@ -22,7 +22,7 @@ PAGES = [
 RIDDLES = {
     "semicolon": r";",
     "that of": r"\b(that|those) of\b",
-    "Where": r"^Where\b",
+    "Where": r"^Where\b(?! they differ)",
     "word": r"\b(told|rightly|anew|amid|alone)\b",
     "what is": r"\bwhat (is|was|stands|returns)\b",
     "zero": r"(?<![\w.])\.\d\d",
@@ -66,26 +66,18 @@ LEFT: dict[str, int] = {
     "bags_and_packets.md": 18,
     "batch.md": 20,
     "batch_files.md": 12,
-    "comparing_with_car.md": 30,
     "confidence.md": 9,
     "convert_thin.md": 11,
     "directions.md": 9,
-    "evaluation.md": 27,
     "evidence.md": 6,
-    "explain.md": 3,
-    "feed_odometry.md": 14,
     "formats.md": 29,
-    "install.md": 1,
     "many_machines.md": 6,
-    "methods.md": 1,
     "objects.md": 9,
     "operations.md": 19,
     "outputs.md": 10,
     "raw_and_text.md": 3,
     "render.md": 11,
-    "simulation.md": 37,
     "speed.md": 4,
-    "static_scans.md": 2,
     "stream.md": 6,
     "transfer.md": 13,
     "troubleshooting.md": 20,
@@ -95,10 +87,7 @@ LEFT: dict[str, int] = {
 """Problems of pages that are not rewritten yet: counted down, never up."""
 LONG: dict[str, int] = {
     "batch.md": 1222,
-    "comparing_with_car.md": 1490,
-    "evaluation.md": 1972,
     "formats.md": 1329,
-    "simulation.md": 1413,
 }
 """Words of pages that are too long: counted down, never up."""
 
