@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 LONGEST_SENTENCE = 25
 LONGEST_PAGE = 1200
-MANUAL = 25_500
+MANUAL = 24_100
 """Words of all pages by hand; 20,000 is the aim."""
 WRITTEN = "<!-- written by"
 PAGES = [
@@ -62,7 +62,6 @@ def count_of(path: Path) -> int:
 
 
 LEFT: dict[str, int] = {
-    "accuracy.md": 11,
     "bags_and_packets.md": 18,
     "batch.md": 20,
     "batch_files.md": 12,
@@ -73,15 +72,12 @@ LEFT: dict[str, int] = {
     "formats.md": 29,
     "many_machines.md": 6,
     "objects.md": 9,
-    "operations.md": 19,
     "outputs.md": 10,
     "raw_and_text.md": 3,
     "render.md": 11,
     "speed.md": 4,
     "stream.md": 6,
-    "transfer.md": 13,
     "troubleshooting.md": 20,
-    "window.md": 9,
     "workflow.md": 5,
 }
 """Problems of pages that are not rewritten yet: counted down, never up."""
