@@ -491,7 +491,7 @@ def pages() -> dict[Path, str]:
         ROOT / "docs/reference/simulation.md": simulation_page(),
         ROOT / "sample_configs/viewers/prc_classes.qml": qgis_style(),
         ROOT / "sample_configs/viewers/prc_classes_potree.js": potree_classes(),
-        ROOT / "docs/changelog.md": GENERATED + changelog,
+        ROOT / "docs/changelog.md": GENERATED + changelog.replace("](docs/", "]("),
         **prose(),
     }
 
