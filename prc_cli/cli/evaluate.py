@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.evaluate_answers import unless_answers
+from prc_cli.cli.evaluate_answers import FORMS, unless_answers
 from prc_cli.cli.options import (
     JSON,
     POSES,
@@ -76,8 +76,6 @@ from prc_cli.matching.pairs import files_of
 
 MAX_PARTS = 40
 """Most parts of a split shown on a terminal."""
-FORMS = {".json": "json", ".csv": "csv", ".md": "markdown", ".html": "html"}
-"""Report formats by the suffix of ``--output``."""
 PLACE_FORMS = {".geojson": "places of GeoJSON", ".csv": "places of CSV"}
 PLACE_WRITERS = {"places of GeoJSON": places_geojson, "places of CSV": places_csv}
 """Forms of the places by the suffix of ``--places``."""

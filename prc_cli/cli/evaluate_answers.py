@@ -28,10 +28,12 @@ from prc_cli.evaluation.sampled import (
     score_rows,
     summary_line,
 )
+from prc_cli.evaluation.sampled_html import sampled_html
 from prc_cli.evaluation.scores import GateResult, refuse_failed
 from prc_cli.jobs.evaluate.answers import evaluate_answers
 
-_FORMS = {".json": "json", ".csv": "csv", ".md": "markdown"}
+FORMS = {".json": "json", ".csv": "csv", ".md": "markdown", ".html": "html"}
+"""Report formats by the suffix of ``--output``."""
 _OPTIONS = {"as_json", "outputs", "overwrite", "quiet", "gates"}
 """Options that make sense for answers; the others belong to a reference."""
 
@@ -55,7 +57,7 @@ def print_answers(classified: Path, answers: Sequence[Path], options: Mapping[st
     _refuse_other_options()
     limits = [_limit(text) for text in options["gates"]]
     outputs: tuple[Path, ...] = options["outputs"]
-    forms = [form_of_output(path, _FORMS) for path in outputs]
+    forms = [form_of_output(path, FORMS) for path in outputs]
     if outputs:
         inputs = (classified, *answers)
         prepare_outputs(*outputs, overwrite=options["overwrite"], inputs=inputs)
@@ -100,6 +102,8 @@ def _text(form: str, evaluation: SampledEvaluation, gates: Sequence[GateResult])
         return as_csv(evaluation)
     if form == "json":
         return as_json(evaluation, gates) + "\n"
+    if form == "html":
+        return sampled_html(evaluation, gates)
     return as_markdown(evaluation, gates)
 
 

@@ -258,7 +258,6 @@ def as_html(
     values: dict[str, Any] = {
         "title": title,
         "origin": origin,
-        "style": (resources.files("prc_cli.evaluation") / "page.css").read_text(encoding="utf-8"),
         "evaluation": evaluation,
         "matrix": shown,
         "scores": scores(shown),
@@ -267,8 +266,8 @@ def as_html(
         "class_scores": [(name, _TITLES.get(name, name)) for name in CLASS_SCORES],
         "class_names": tuple(dict.fromkeys((*shown.reference_names, *shown.predicted_names))),
         "gates": gates,
-        "gates_line": _gates_line(gates),
-        "views": [_view(shown, *view) for view in _VIEWS],
+        "gates_line": gates_line(gates),
+        "views": [matrix_view(shown, *view) for view in _VIEWS],
         "column_sums": shown.counts.sum(axis=0).tolist(),
         "largest": _largest(shown),
         "pictures": [
@@ -276,8 +275,7 @@ def as_html(
         ],
         "mapping": mapping,
         "mapped_names": mapped_names,
-        # "<" is escaped, so that user text cannot end the element
-        "data": json.dumps(as_dict(comparison, gates), allow_nan=False).replace("<", "\\u003c"),
+        "data": page_data(as_dict(comparison, gates)),
         "doubts": (),
         "splits": (),
         "three": None,
@@ -285,6 +283,12 @@ def as_html(
     }
     if evaluation is not None:
         values |= _of_evaluation(evaluation, shown)
+    return evaluation_page("evaluation.html", values)
+
+
+def evaluation_page(template: str, values: dict[str, Any]) -> str:
+    """Return a page in the style of an evaluation, from a template of this package."""
+    style = (resources.files("prc_cli.evaluation") / "page.css").read_text(encoding="utf-8")
     filters: dict[str, Callable[..., Any]] = {
         "colour": class_colour,
         "figure": figure,
@@ -294,7 +298,14 @@ def as_html(
         "thousands": "{:,}".format,
     }
     tests = {"known": lambda score: not math.isnan(score)}
-    return render_page("prc_cli.evaluation", "evaluation.html", values, filters, tests)
+    shared = {"style": style}
+    return render_page("prc_cli.evaluation", template, values | shared, filters, tests)
+
+
+def page_data(table: dict[str, Any]) -> str:
+    """Return JSON for an element of a page."""
+    # "<" is escaped, so that user text cannot end the element
+    return json.dumps(table, allow_nan=False).replace("<", "\\u003c")
 
 
 def check_picture(name: str, content: bytes) -> None:
@@ -303,7 +314,8 @@ def check_picture(name: str, content: bytes) -> None:
         raise InputError(name, "is no PNG picture", "give pictures as prc render writes them")
 
 
-def _gates_line(gates: Sequence[GateResult]) -> str:
+def gates_line(gates: Sequence[GateResult]) -> str:
+    """Return how many gates failed."""
     n_failed = sum(not gate.passed for gate in gates)
     if len(gates) == 1:
         return "the gate failed" if n_failed else "the gate passed"
@@ -312,13 +324,13 @@ def _gates_line(gates: Sequence[GateResult]) -> str:
     )
 
 
-def _view(
+def matrix_view(
     shown: ConfusionMatrix,
     key: str,
     name: str,
     words: str,
 ) -> dict[str, Any]:
-
+    """Return the cells of a matrix for a page; ``key`` is counts, rows or columns."""
     shares = (shown.column_shares() if key == "columns" else shown.row_shares()).tolist()
     agreeing = set(shown.scored_names)
     rows = []

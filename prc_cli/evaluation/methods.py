@@ -7,21 +7,18 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from typing import Any
 
 from prc_cli.core.brief import Brief
-from prc_cli.core.pages import render_page
-from prc_cli.evaluation.html import DEEP, class_colour
+from prc_cli.evaluation.html import DEEP, evaluation_page, page_data
 from prc_cli.evaluation.reports import (
     as_csv,
     as_dict,
     doubts,
     markdown_table,
     match_line,
-    percent,
     plain,
     with_interval,
 )
@@ -152,9 +149,7 @@ def methods_html(
     """Return a page without scripts: the table, and the confusion of every method."""
     header, rows = methods.table()
     first = next(iter(methods.evaluations.values()))
-    data = json.dumps(methods_dict(methods, gates), allow_nan=False)
     values: dict[str, Any] = {
-        "style": (resources.files("prc_cli.evaluation") / "page.css").read_text(encoding="utf-8"),
         "origin": origin,
         "first": first,
         "header": header,
@@ -162,15 +157,9 @@ def methods_html(
         "intervals": _interval_methods(methods),
         "methods": [_method_values(methods, name) for name in methods.evaluations],
         "gates": gates or {},
-        # "<" is escaped, so that user text cannot end the element
-        "data": data.replace("<", "\\u003c"),
+        "data": page_data(methods_dict(methods, gates)),
     }
-    filters: dict[str, Callable[..., Any]] = {
-        "colour": class_colour,
-        "figure": figure,
-        "percent": percent,
-    }
-    return render_page("prc_cli.evaluation", "methods.html", values, filters, {})
+    return evaluation_page("methods.html", values)
 
 
 def _interval_methods(methods: ComparedMethods) -> list[str]:

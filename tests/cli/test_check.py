@@ -68,11 +68,14 @@ def test_drawn_answered_and_evaluated(prc: Prc, folder: Path) -> None:
     accuracy = table["scores"]["accuracy"]
     assert accuracy["low"] < accuracy["value"] < accuracy["high"]
 
-    outputs = ("-o", "a.csv", "-o", "a.md", "-o", "a.json")
+    outputs = ("-o", "a.csv", "-o", "a.md", "-o", "a.json", "-o", "a.html")
     assert prc("evaluate", "labels.npy", "labels_answers.json", "-q", *outputs).code == 0
     rows = list(csv.DictReader(Path("a.csv").read_text(encoding="utf-8").splitlines()))
     assert float(rows[0]["value"]) == pytest.approx(accuracy["value"], abs=1e-6)
     assert "| ground" in Path("a.md").read_text(encoding="utf-8")
+    page = Path("a.html").read_text(encoding="utf-8")
+    assert f"<b>{accuracy['value']:.3f}</b><span>accuracy" in page
+    assert f"{accuracy['low']:.3f} – {accuracy['high']:.3f}" in page
 
 
 def test_missing_shots_of_a_table_have_no_coordinates(prc: Prc, folder: Path) -> None:
@@ -118,7 +121,7 @@ def test_what_is_refused(prc: Prc, folder: Path) -> None:
     assert "expected one of: accuracy, recall.ground" in gate.err
     assert prc(*evaluate, "--fail-under", "accuracy=0.9", "-q").code == 0
     assert prc(*evaluate, "--match", "nearest").code == 2
-    assert prc(*evaluate, "-o", "a.html").code == 2
+    assert prc(*evaluate, "-o", "a.pdf").code == 2
     np.save("labels.npy", np.zeros(5, np.uint8))
     other = prc(*evaluate)
     assert other.code == 1

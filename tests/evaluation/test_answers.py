@@ -11,6 +11,7 @@ import pytest
 from prc_cli.core.errors import InputError
 from prc_cli.evaluation.answers import CANNOT_TELL, KIND, Answers, load_answers, pool
 from prc_cli.evaluation.sampled import agreement_line, as_dict, as_markdown, evaluate_sample
+from prc_cli.evaluation.sampled_html import answer_matrix, sampled_html
 
 PATH = Path("x.json")
 
@@ -79,6 +80,33 @@ def test_two_persons_give_kappa_and_count_once() -> None:
     assert agreement_line(evaluation) == "Ada and Ben agree on 75.0% of 4 places, kappa 0.500."
     assert "kappa 0.500" in as_markdown(evaluation)
     assert as_dict(evaluation)["kappa"] == pytest.approx(0.5)
+
+
+def test_the_page_has_the_counts_and_escapes_names() -> None:
+    first = answers_of("ground", "car", "car", CANNOT_TELL, "other", "car", person="<i>Ada")
+    second = answers_of("ground", "car", "ground", "car", person="Ben")
+    pooled = pool([PATH, PATH], [first, second])
+    matrix = answer_matrix(pooled.sample)
+    assert matrix.reference_names == ("ground", "car", "other")
+    assert matrix.predicted_names == ("ground", "car")
+    assert matrix.counts.tolist() == [[1, 0], [1, 2], [1, 0]]
+    evaluation = evaluate_sample("<b>out.laz", ("a.json", "b.json"), pooled)
+    page = sampled_html(evaluation)
+    shown = page.partition("<script")[0]
+    for name in evaluation.classes:
+        recall = evaluation.scores[f"recall.{name}"]
+        assert f"<td>{recall.value:.3f}" in shown
+        assert f"{recall.low:.3f} – {recall.high:.3f}</small>" in shown
+    assert "33.3%<small>1</small>" in shown
+    unsure = "".join(f'<td class="sum">{count}</td>' for count in (0, 1, 1))
+    assert f"<th>cannot tell</th>{unsure}" in shown
+    assert f"<b>{evaluation.kappa:.3f}</b><span>Cohen" in shown
+    assert "&lt;b&gt;out.laz" in shown
+    assert "&lt;i&gt;Ada and Ben agree" in shown
+    assert "<b>out" not in page
+    assert "<i>" not in page
+    data = page.partition('id="evaluation">')[2].partition("</script>")[0]
+    assert json.loads(data) == as_dict(evaluation)
 
 
 def test_other_places_of_the_same_file_add_up() -> None:
