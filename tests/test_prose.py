@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 LONGEST_SENTENCE = 25
 LONGEST_PAGE = 1200
-MANUAL = 23_300
+MANUAL = 22_450
 """Words of all pages by hand; 20,000 is the aim."""
 WRITTEN = "<!-- written by"
 PAGES = [
@@ -62,17 +62,13 @@ def count_of(path: Path) -> int:
 
 
 LEFT: dict[str, int] = {
-    "bags_and_packets.md": 18,
     "batch_files.md": 12,
-    "confidence.md": 9,
-    "convert_thin.md": 11,
     "directions.md": 9,
     "formats.md": 29,
     "many_machines.md": 6,
     "objects.md": 9,
     "outputs.md": 10,
     "raw_and_text.md": 3,
-    "render.md": 11,
     "troubleshooting.md": 20,
     "workflow.md": 5,
 }
