@@ -48,6 +48,7 @@ from prc_cli.methods.fused.records import (
     FENCE,
     FEW_SHOTS,
     LORRY_BIN,
+    MAST,
     POST,
     SLOT_M,
     SLOTS,
@@ -359,7 +360,7 @@ def _may_be_upright(shot: Shot, place: Place, is_in_car: bool, limits: DecisionT
     is_thin = is_piece & is_up & (shot.above_m > limits.foot_m) & (not is_part)
     is_thin &= shot.texture >= limits.leaf_share
     is_known = (place.bin < BEYOND) & (limits.pole_m > np.float32(0.0))
-    return bool(is_known & (is_thin | (shot.kind == POST)))
+    return bool(is_known & (is_thin | (shot.kind == POST) | (shot.kind == MAST)))
 
 
 # Step 4: trunks, posts and arms
@@ -386,7 +387,9 @@ def _label_uprights(
         if i >= end:
             end, is_round = _round_run(range_m, side_m, height_m, kind, i, limits)
         above_slots = rough_slots[beside.bin[i] >> 1] >> np.uint64(_slot(above_m[i]))
-        if np.float32(count_bits(above_slots)) >= limits.crown_slots:
+        if kind[i] == MAST:
+            rule = _POST
+        elif np.float32(count_bits(above_slots)) >= limits.crown_slots:
             rule = _CROWN
         elif kind[i] == FEW_SHOTS:
             rule = labels[i]  # too few shots to tell a post: step 5

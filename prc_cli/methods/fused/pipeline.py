@@ -109,6 +109,11 @@ FOREST_NOISE_M = 0.035
 
 Scanners in forests have 2 to 3 mm; 30 mm cost .03 of F1.
 """
+COARSE_THICK_M = np.float32(0.6)
+"""Least thickness of a trunk if columns are far apart [m].
+
+A slanted plane is 0.1 m farther on a post from line to line.
+"""
 OUTSIDE_LINES = SPACED_LINES - BESIDE_THIN_LINES - VOTE_LINES
 """Outermost lines of the window that no label depends on."""
 FOLLOWING_LINES = SPACED_LINES + fans_loops.LINES
@@ -250,6 +255,9 @@ class FusedScanner:
             # a leaf among leaves has near neighbours
             late = limits.late_leaves._replace(leaves=np.float32(NEVER))
             limits = limits._replace(late_leaves=late)
+        else:
+            thick = limits.decision._replace(thick_m=COARSE_THICK_M)
+            limits = limits._replace(decision=thick)
         return cls(Plane.of(beam_rad), plane, limits)
 
     @property

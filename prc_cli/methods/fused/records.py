@@ -21,11 +21,11 @@ SLOTS = 64
 """Slots of a strip, from the ground up. The last one holds everything higher."""
 SLOT_M = np.float32(0.25)
 """Height of a slot [m]."""
-POST, THIN, SHORT, FEW_SHOTS, SMALL, FENCE = (np.uint8(kind) for kind in (1, 2, 3, 4, 5, 6))
+POST, THIN, SHORT, FEW_SHOTS, MAST, SMALL, FENCE = (np.uint8(kind) for kind in range(1, 8))
 """Kinds of free-standing things, 0 = none.
 
 A trunk or post; a thin piece and a short piece, which may be of one; a piece of few shots;
-something small and low, as people; a part of a fence. """
+a mast; something small and low, as people; a part of a fence. """
 LORRY_BIN = 16
 """Counts of level bins count the bins of a body that hangs high once more, times this."""
 

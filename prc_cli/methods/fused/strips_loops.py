@@ -15,6 +15,7 @@ from prc_cli.core.types import F32, F32_2, I32, U8, U8_2, U64_2
 from prc_cli.methods.fused.records import (
     FENCE,
     FEW_SHOTS,
+    MAST,
     POST,
     SHORT,
     SLOT_M,
@@ -60,6 +61,12 @@ ROUND = np.float32(0.34)
 """By how much of its radius the middle half of a round thing is nearer than its outer quarters."""
 CHEST_M = np.float32(1.0)
 """A higher start is a body only if it is taller than roof between windows [m]."""
+MAST_SHARE = np.float32(0.4)
+"""Least share of a mast that few lines see, with far things on both sides."""
+MAST_SLOPE = np.float32(0.1)
+"""A mast goes less to the side per metre of height."""
+MAST_BEYOND = 4
+"""Shots beyond the top of a mast that are on the mast or far behind it."""
 SAMPLES = 8
 """Shots of a run by which its depth is measured, at most."""
 
@@ -231,29 +238,25 @@ def _kind_of_run(
     above: F32,
     before: U8,
     after: U8,
-    smooth: U8,
     marks: U8,
     beams: Beams,
     thresholds: ColumnThresholds,
 ) -> np.uint8:
-    """Return the kind of the shots ``first`` to ``end``: POST, SMALL, or 0 if they are neither.
+    """Return the kind of the shots ``first`` to ``end``: POST, MAST, SMALL, or 0 for none.
 
     Two groups of its shots are looked at, one after the other: those that few lines see (NARROW),
     which may be something small, then those that lines on both sides see far past (FREE), which
     may be a trunk or post.
     """
-    n = n_free = n_thin = n_few = n_far = n_even = 0
+    n_free = n_thin = n_few = n_far = 0
     head = first
     top = thresholds.high_m
     low = inner = few_low = few_inner = np.float32(np.inf)
     high = outer = few_high = few_outer = -low
     for j in range(first, end):
-        is_smooth = np.float32(smooth[j]) >= thresholds.smooth
-        n += int(is_smooth)
         if marks[j] & FREE != 0:
-            n_free += int(is_smooth)
-            n_lines = _lines_of_object(before[j], after[j])
-            n_thin += int(is_smooth and n_lines <= thresholds.thin_lines)
+            n_free += 1
+            n_thin += int(_lines_of_object(before[j], after[j]) <= thresholds.thin_lines)
             inner = min(inner, abs(side[j]))
             outer = max(outer, abs(side[j]))
             low = min(low, above[j])
@@ -261,7 +264,6 @@ def _kind_of_run(
         if marks[j] & NARROW != 0:
             n_few += 1
             n_far += int(marks[j] & FREE != 0)
-            n_even += int(is_smooth)
             head = j if above[j] > few_high else head
             few_inner = min(few_inner, abs(side[j]))
             few_outer = max(few_outer, abs(side[j]))
@@ -281,16 +283,23 @@ def _kind_of_run(
             few_low <= CHEST_M or tall > thresholds.post_tall_m
         )
         if climbed < top and (is_person or is_far):
-            is_smooth_and_tall = (
-                np.float32(n_even) >= thresholds.share * np.float32(n_few)
-                and tall > thresholds.post_tall_m
-            )
-            is_low = climbed < thresholds.post_top_m
-            is_post = is_far and deep < thresholds.post_m and (is_smooth_and_tall or is_low)
+            is_post = tall > thresholds.post_tall_m or climbed < thresholds.post_top_m
+            is_post = is_post and is_far and deep < thresholds.post_m
             return POST if is_post else SMALL
+    is_far = np.float32(n_far) >= MAST_SHARE * np.float32(end - first)
+    if is_far and tall >= thresholds.mast_m and deep < MAST_SLOPE * tall:
+        # a mast ends before the sky or far things, a trunk in its crown
+        last, way = (end - 1, 1) if above[end - 1] > above[first] else (first, -1)
+        is_mast = True
+        for k in range(1, MAST_BEYOND + 1):
+            j = min(max(last + way * k, 0), len(side) - 1)
+            beyond_m = window_m[line, j] - window_m[line, last]
+            is_mast &= not (beyond_m <= thresholds.far_m) or abs(beyond_m) < thresholds.jump_m
+        if is_mast:
+            return MAST
     deep = outer - inner
     tall = high - low
-    if np.float32(n_free) < max(thresholds.shots, thresholds.share * np.float32(n)):
+    if np.float32(n_free) < max(thresholds.shots, thresholds.share * np.float32(end - first)):
         return np.uint8(0)
     if deep > thresholds.deep_m or low > thresholds.low_m or tall < thresholds.tall_m or high < top:
         return np.uint8(0)
@@ -300,7 +309,7 @@ def _kind_of_run(
     n_sampled = n_round = k = 0
     stride = max(n_free // SAMPLES, 1)
     for j in range(first, end):
-        if marks[j] & FREE == 0 or np.float32(smooth[j]) < thresholds.smooth:
+        if marks[j] & FREE == 0:
             continue
         if k % stride == 0:
             across = abs(side[j]) / window_m[line, j]
@@ -350,7 +359,6 @@ def find_columns(
         ranges = window_m[k]
         above = above_m[line]
         near = neighbours.near[line]
-        smooth = neighbours.smooth[line]
         _mark_free(lines, after[line], above, near, thresholds, marks)
         for i in range(m):
             side[i] = ranges[i] * beams.sine[i]
@@ -373,7 +381,6 @@ def find_columns(
                 above,
                 lines,
                 after[line],
-                smooth,
                 marks,
                 beams,
                 thresholds,
@@ -395,12 +402,12 @@ def find_columns(
                         kind_of_shot = SHORT
                     if kind_of_shot != 0 and np.float32(end - first) < thresholds.shots:
                         kind_of_shot = FEW_SHOTS
-                is_part = marks[j] & FREE != 0 and (
-                    kind != POST or np.float32(smooth[j]) >= thresholds.smooth
-                )
-                if is_part or kind == SMALL:
+                if marks[j] & FREE != 0 or kind >= MAST:
                     is_fence = (
-                        kind != 0 and above[j] < thresholds.high_m and _is_fence(window_m, k, j)
+                        kind != 0
+                        and kind != MAST
+                        and above[j] < thresholds.high_m
+                        and _is_fence(window_m, k, j)
                     )
                     kinds[line, j] = FENCE if is_fence else kind_of_shot
     return kinds
@@ -476,7 +483,7 @@ def _mark_kinds(
                 (np.float32(before[i]) <= most_rough) & (np.float32(after[i]) <= most_rough)
             )
     for i in range(len(above)):
-        is_wall = (up[i] >= UPRIGHT_CHORDS) & (kinds[i] != POST)
+        is_wall = (up[i] >= UPRIGHT_CHORDS) & (kinds[i] != POST) & (kinds[i] != MAST)
         upright[i] = np.uint8((np.float32(pairs[i]) >= least_smooth) & is_wall)
     for i in range(len(above)):
         level[i] = np.uint8(

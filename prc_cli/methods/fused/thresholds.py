@@ -120,8 +120,6 @@ class ColumnThresholds(NamedTuple):
     """Most lines that see a trunk or post."""
     least_near: np.float32 = LEAST_NEAR
     """Near neighbours of a shot that counts."""
-    smooth: np.float32 = f32(3)
-    """Smooth pairs of a smooth shot."""
     foot_m: np.float32 = f32(0.3)
     """Least height above the ground of a shot that counts [m]."""
     jump_m: np.float32 = f32(0.5)
@@ -131,7 +129,7 @@ class ColumnThresholds(NamedTuple):
     shots: np.float32 = f32(6)
     """Fewest shots of a thing with far things on both sides."""
     share: np.float32 = f32(0.8)
-    """Least share of such shots in its smooth shots."""
+    """Least share of such shots."""
     tall_m: np.float32 = f32(1)
     """Least height from the lowest to the highest shot of a trunk or post [m]."""
     low_m: np.float32 = f32(3)
@@ -158,6 +156,8 @@ class ColumnThresholds(NamedTuple):
     """... and a line sees more than this of its height [m] ..."""
     post_top_m: np.float32 = f32(1.25)
     """... or its top is lower than this: people are taller [m]."""
+    mast_m: np.float32 = f32(4)
+    """Least height of a mast in one line, lower things may be trunks [m]."""
     slim_lines: np.float32 = f32(4)
     """Most lines that see something thin, which may be a piece of a post."""
     piece_lines: np.float32 = f32(24)
