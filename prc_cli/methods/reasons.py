@@ -125,7 +125,7 @@ RULES: dict[Reason, Rule] = {
     ),
     Reason.POST: Rule(
         "upright and thin: lines beside it, or shots above and below, see past it",
-        ("decision.pole_m", "decision.far_m", "columns.tall_m", "columns.lines"),
+        ("decision.pole_m", "decision.far_m", "columns.tall_m", "columns.lines", "columns.mast_m"),
     ),
     Reason.ARM: Rule(
         "thin or short, high above the ground: an arm or a lamp",

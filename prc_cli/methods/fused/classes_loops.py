@@ -17,7 +17,7 @@ step  rule               label       reason
 1, 2  LOW                ground      it is very low, and not upright
 3     BEHIND_WALL        noise       it is far behind a wall, with few shots near: a reflection
 3     IN_CAR             noise       it is in a car, with few shots near and no smooth pair
-4     CROWN              vegetation  it is on something upright below a crown: a trunk
+4     CROWN              vegetation  it is on something upright below a crown, and on no mast
 4     TRUNK              vegetation  it is on something upright that is as thick as a trunk
 4     POST               pole        it is on something upright and thin
 4     ARM                pole        it is on something thin or short, high above the ground

@@ -256,8 +256,8 @@ class FusedScanner:
             late = limits.late_leaves._replace(leaves=np.float32(NEVER))
             limits = limits._replace(late_leaves=late)
         else:
-            thick = limits.decision._replace(thick_m=COARSE_THICK_M)
-            limits = limits._replace(decision=thick)
+            thick_m = max(limits.decision.thick_m, COARSE_THICK_M)
+            limits = limits._replace(decision=limits.decision._replace(thick_m=thick_m))
         return cls(Plane.of(beam_rad), plane, limits)
 
     @property
