@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 LONGEST_SENTENCE = 25
 LONGEST_PAGE = 1200
-MANUAL = 22_450
+MANUAL = 22_050
 """Words of all pages by hand; 20,000 is the aim."""
 WRITTEN = "<!-- written by"
 PAGES = [
@@ -64,17 +64,13 @@ def count_of(path: Path) -> int:
 LEFT: dict[str, int] = {
     "batch_files.md": 12,
     "directions.md": 9,
-    "formats.md": 29,
-    "many_machines.md": 6,
-    "objects.md": 9,
+    "formats.md": 27,
     "outputs.md": 10,
-    "raw_and_text.md": 3,
-    "troubleshooting.md": 20,
     "workflow.md": 5,
 }
 """Problems of pages that are not rewritten yet: counted down, never up."""
 LONG: dict[str, int] = {
-    "formats.md": 1329,
+    "formats.md": 1239,
 }
 """Words of pages that are too long: counted down, never up."""
 
