@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 LONGEST_SENTENCE = 25
 LONGEST_PAGE = 1200
-MANUAL = 22_050
+MANUAL = 21_950
 """Words of all pages by hand; 20,000 is the aim."""
 WRITTEN = "<!-- written by"
 PAGES = [
@@ -22,7 +22,7 @@ PAGES = [
 RIDDLES = {
     "semicolon": r";",
     "that of": r"\b(that|those) of\b",
-    "Where": r"^Where\b(?! they differ)",
+    "Where": r"^Where\b(?! they differ| down is)",
     "word": r"\b(told|rightly|anew|amid|alone)\b",
     "what is": r"\bwhat (is|was|stands|returns)\b",
     "zero": r"(?<![\w.])\.\d\d",
@@ -63,15 +63,11 @@ def count_of(path: Path) -> int:
 
 LEFT: dict[str, int] = {
     "batch_files.md": 12,
-    "directions.md": 9,
-    "formats.md": 27,
     "outputs.md": 10,
     "workflow.md": 5,
 }
 """Problems of pages that are not rewritten yet: counted down, never up."""
-LONG: dict[str, int] = {
-    "formats.md": 1239,
-}
+LONG: dict[str, int] = {}
 """Words of pages that are too long: counted down, never up."""
 
 

@@ -240,7 +240,7 @@ def _notices(output: Path, n_extra: int, registered_crs: str | None) -> Iterator
     if registered_crs:
         text = f"registered coordinates are those of {registered_crs}"
         if suffix in LAS_SUFFIXES and find_spec("pyproj") is None:
-            text += "; the file does not name it without pyproj: pip install prc-cli[crs]"
+            text += '; the file does not name it without pyproj: pip install ".[crs]"'
         yield text
     if format_of(output) is None:
         yield f"prc reads no stream from {suffix}; it is for other programs"

@@ -469,7 +469,7 @@ def _earth(path: Path, frame: Frame) -> pyproj.Proj:
         import pyproj.exceptions
     except ImportError:
         problem = "an SBET trajectory needs pyproj, which is not installed"
-        raise ConfigError(str(path), problem, "pip install prc-cli[crs]") from None
+        raise ConfigError(str(path), problem, 'pip install ".[crs]"') from None
     try:
         crs = pyproj.CRS.from_user_input(frame.crs)
         is_metric = all(axis.unit_conversion_factor == 1.0 for axis in crs.axis_info)

@@ -145,7 +145,7 @@ def _library(path: Path, topics: Collection[Topic]) -> Iterator[Any]:
         from rosbags import rosbag1, rosbag2
     except ImportError:
         problem = "reading bags needs rosbags, which is not installed"
-        raise InputError(str(path), problem, "pip install prc-cli[ros]") from None
+        raise InputError(str(path), problem, 'pip install ".[ros]"') from None
 
     class Lean(rosbag1.Reader):
         def read_index_data(self, pos: int, indexes: dict[int, Any]) -> None:

@@ -178,7 +178,7 @@ def vlr_of_crs(crs: str) -> tuple[Vlr | None, str]:
     try:
         import pyproj
     except ImportError:
-        return None, "pyproj is not installed; pip install prc-cli[crs]"
+        return None, 'pyproj is not installed; pip install ".[crs]"'
     try:
         wkt = pyproj.CRS.from_user_input(crs).to_wkt("WKT1_GDAL").encode("ascii") + b"\0"
     except (pyproj.exceptions.CRSError, UnicodeEncodeError) as error:

@@ -110,7 +110,7 @@ class E57File:
             from pye57 import libe57
         except ImportError:
             problem = "reading E57 needs pye57, which is not installed"
-            raise InputError(str(path), problem, "pip install prc-cli[e57]") from None
+            raise InputError(str(path), problem, 'pip install ".[e57]"') from None
         self._library = libe57
         _check_frame(path)
         with self._errors(), step(path):

@@ -154,7 +154,7 @@ def _libraries(where: str) -> tuple[Any, Any]:
         import yaml
     except ImportError:
         problem = "reading packets of a Velodyne needs velodyne-decoder, which is not installed"
-        raise InputError(where, problem, "pip install prc-cli[pcap]") from None
+        raise InputError(where, problem, 'pip install ".[pcap]"') from None
     return velodyne_decoder, yaml
 
 

@@ -411,7 +411,7 @@ def _projected_system(path: Path, target: str | None) -> _System:
         import pyproj.exceptions
     except ImportError:
         problem = "an SBET trajectory needs pyproj, which is not installed"
-        raise ConfigError(str(path), problem, "pip install prc-cli[crs]") from None
+        raise ConfigError(str(path), problem, 'pip install ".[crs]"') from None
     shown = target if len(target) <= 40 else f"{target[:40]}..."
     remedy = "set trajectory_crs to that of the points, for example EPSG:32635"
     try:

@@ -34,7 +34,7 @@ from prc_cli.jobs.batch.outcomes import Outcome, Problem, remove_left
 from prc_cli.jobs.batch.types import OWN_FOLDER, Task
 from prc_cli.jobs.batch.worker import beat, run_item
 
-EXTRA = "prc-cli[dask]"
+EXTRA = '".[dask]"'
 CONNECT_S = 20.0
 """How long the scheduler may take to answer [s]."""
 WORKERS_S = 60.0

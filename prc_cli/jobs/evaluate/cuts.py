@@ -123,7 +123,7 @@ def _polygons(path: Path) -> Any:
         from shapely.geometry import shape
     except ImportError:
         raise ConfigError(
-            str(path), "polygons need shapely", "pip install prc-cli[geo], or give X1,Y1,X2,Y2"
+            str(path), "polygons need shapely", 'pip install ".[geo]", or give X1,Y1,X2,Y2'
         ) from None
     try:
         geojson = json.loads(read_small(path, _MOST_BYTES))
