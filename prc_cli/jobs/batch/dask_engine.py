@@ -126,7 +126,9 @@ def do_order(order: Order) -> Report:
         problem = (
             f"the worker on {socket.gethostname()} runs prc {__version__}, this run {order.version}"
         )
-        raise PrcError(f"worker {me}", problem, f"pip install '{EXTRA}=={order.version}' there")
+        raise PrcError(
+            f"worker {me}", problem, f"there, pip install {EXTRA} of version {order.version}"
+        )
     lines = _Lines(
         lambda kind, n: worker.log_event(order.topic, (kind, key, me, n)),
         lambda: _is_wanted(worker, key),
@@ -221,7 +223,7 @@ class DaskEngine:
             from distributed import Client
         except ImportError as error:
             problem = f"Dask is not installed here ({error})"
-            raise ConfigError("--engine dask", problem, f"pip install '{EXTRA}'") from error
+            raise ConfigError("--engine dask", problem, f"pip install {EXTRA}") from error
         connect: Any = Client
         try:
             with warnings.catch_warnings(record=True) as raised:
@@ -278,7 +280,7 @@ def _check_version(name: str, version: str | BaseException) -> None:
         problem = f"found prc {version}, expected {__version__} as here"
         if not isinstance(version, str):
             problem = f"prc cannot be loaded there ({_one_line(version)})"
-        raise ConfigError(name, problem, f"pip install '{EXTRA}=={__version__}' there")
+        raise ConfigError(name, problem, f"there, pip install {EXTRA} of version {__version__}")
 
 
 @dataclass(slots=True, eq=False)
