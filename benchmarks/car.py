@@ -10,7 +10,7 @@ classes.
 The drive is registered with a trajectory that has 2 cm of error on every axis, cut into tiles of 40
 m, shuffled, cleaned of single points and thinned to one point in 5 cm, as an office delivers it.
 The CAR is made of what anybody can install: the cloth simulation filter (``pip install
-prc-cli[peers]``) finds the ground, and the shape of 16 neighbours (SciPy) tells buildings from
+'.[peers]'``) finds the ground, and the shape of 16 neighbours (SciPy) tells buildings from
 vegetation; it has the ASPRS codes 2, 5 and 6 alone. It is a plain one: offices have better."""
 
 from __future__ import annotations

@@ -192,7 +192,7 @@ def test_sbet_without_pyproj_names_the_remedy(
         return plain_import(name, *args)
 
     monkeypatch.setattr(builtins, "__import__", no_pyproj)
-    with pytest.raises(ConfigError, match=r"pip install prc-cli\[crs\]"):
+    with pytest.raises(ConfigError, match=r"pip install .\.\[crs\]."):
         load(write_sbet(tmp_path / "drive.sbet", SOUND), crs=UTM35)
 
 

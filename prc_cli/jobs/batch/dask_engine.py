@@ -127,7 +127,7 @@ def do_order(order: Order) -> Report:
             f"the worker on {socket.gethostname()} runs prc {__version__}, this run {order.version}"
         )
         raise PrcError(
-            f"worker {me}", problem, f"there, pip install {EXTRA} of version {order.version}"
+            f"worker {me}", problem, f"pip install {EXTRA} of version {order.version} there"
         )
     lines = _Lines(
         lambda kind, n: worker.log_event(order.topic, (kind, key, me, n)),
@@ -280,7 +280,7 @@ def _check_version(name: str, version: str | BaseException) -> None:
         problem = f"found prc {version}, expected {__version__} as here"
         if not isinstance(version, str):
             problem = f"prc cannot be loaded there ({_one_line(version)})"
-        raise ConfigError(name, problem, f"there, pip install {EXTRA} of version {__version__}")
+        raise ConfigError(name, problem, f"pip install {EXTRA} of version {__version__} there")
 
 
 @dataclass(slots=True, eq=False)

@@ -145,7 +145,7 @@ def test_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, nam
         monkeypatch.setitem(sys.modules, module, None)
     (tmp_path / name).write_bytes(b"x")
     with pytest.raises(
-        InputError, match=r"needs rosbags, which is not installed; pip install prc-cli\[ros\]"
+        InputError, match=r"needs rosbags, which is not installed; pip install .\.\[ros\]."
     ):
         BagStream(tmp_path / name, InputConfig())
 

@@ -225,7 +225,7 @@ def test_other_versions_are_refused(
 
 def test_without_dask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ConfigError, match=r"not installed here .*; pip install 'prc-cli\[dask\]'"):
+    with pytest.raises(ConfigError, match=r"not installed here .*; pip install .\.\[dask\]."):
         run(DaskEngine("tcp://127.0.0.1:9"), tasks_in(tmp_path, {"a.npy": 20}))
 
 
