@@ -315,16 +315,21 @@ class DepthBuffer:
         for _ in range(close):
             keys = _close_gaps(keys)
         empty = keys == EMPTY
-        channels = [(keys >> np.uint64(shift)) & np.uint64(255) for shift in (16, 8, 0)]
-        picture = np.stack(channels, axis=-1).astype(np.float32)
-        if shade:
-            depth = (keys >> np.uint64(32)).astype(np.uint32).view(np.float32)
-            depth = np.where(empty, np.float32(1.0), depth)
-            relief = self._camera.relief(depth.astype(np.float64))
-            relief = np.where(empty, np.inf, relief)
-            picture *= _brightness(relief.astype(np.float32))[..., None]
-        picture[empty] = 255.0
-        return np.rint(picture).astype(np.uint8)
+        brightness = self._brightness_of(keys, empty) if shade else np.float32(1.0)
+        picture = np.empty((height, width, 3), np.uint8)
+        # one channel after the other: a large picture takes much memory
+        for k, shift in enumerate((16, 8, 0)):
+            channel = (keys >> np.uint64(shift)).astype(np.uint8) * brightness
+            channel[empty] = 255.0
+            picture[..., k] = np.rint(channel)
+        return picture
+
+    def _brightness_of(self, keys: NDArray[np.uint64], empty: Mask) -> F32:
+        depth = (keys >> np.uint64(32)).astype(np.uint32).view(np.float32)
+        depth[empty] = np.float32(1.0)
+        relief = self._camera.relief(depth.astype(np.float64)).astype(np.float32)
+        relief[empty] = np.inf
+        return _brightness(relief)
 
 
 def _neighbours(image: NDArray[Any], fill: object, reach: int = 1) -> Iterator[NDArray[Any]]:
