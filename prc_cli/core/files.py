@@ -500,6 +500,23 @@ def drop_proofs() -> None:
     _PROOFS.clear()
 
 
+def name_folder(temporary: Path, path: Path) -> None:
+    """Give a complete folder its name, without the temporary names that were kept in it.
+
+    Nobody could find them afterwards, since their paths change with the folder's.
+
+    Raises
+    ------
+    OutputError
+        If the system refuses.
+    """
+    for proof in [proof for proof in _PROOFS if temporary in proof.parents]:
+        _remove(proof)
+        _PROOFS.remove(proof)
+    with output_errors(path):
+        temporary.rename(path)
+
+
 _MADE: list[Path] = []
 """Temporary names of a command; a signal may have kept their files from being removed."""
 

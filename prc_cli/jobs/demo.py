@@ -17,7 +17,7 @@ from prc_cli.core.errors import OutputError, OutputExistsError
 from prc_cli.core.files import (
     atomic_output,
     discard,
-    output_errors,
+    name_folder,
     remove_unfinished,
     temporary_name,
 )
@@ -230,7 +230,6 @@ def _prepared(folder: Path, *, overwrite: bool) -> Iterator[Path]:
         return
     try:
         yield temporary
-        with output_errors(folder):
-            temporary.rename(folder)
+        name_folder(temporary, folder)
     finally:
         discard(temporary)

@@ -110,6 +110,20 @@ def test_a_run_that_is_killed_at_its_very_end_shows(tmp_path: Path) -> None:
     assert contents(tmp_path) == WHOLE
 
 
+def test_a_complete_folder_holds_no_temporary_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(files._State, "keeps_proofs", True)
+    source = tmp_path / "in.npy"
+    source.touch()
+    temporary = tmp_path / "unfinished"
+    temporary.mkdir()
+    write(temporary, source)
+    assert len(list(temporary.iterdir())) == len(NAMES) + 1
+    files.name_folder(temporary, tmp_path / "whole")
+    assert contents(tmp_path / "whole") == WHOLE
+
+
 @pytest.mark.parametrize("changed", ["command", "input"])
 def test_another_command_or_input_replaces_nothing(tmp_path: Path, changed: str) -> None:
     source = tmp_path / "in.npy"

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError
-from prc_cli.core.files import output_errors, remove_stale, suffix_of, temporary_name
+from prc_cli.core.files import name_folder, output_errors, remove_stale, suffix_of, temporary_name
 from prc_cli.formats.input import Input
 from prc_cli.formats.registry import by_suffix
 from prc_cli.formats.writing.record import record_path
@@ -103,7 +103,6 @@ def thin_frames(
             for extra_file in temporary.glob(f"{thinned.name}.*"):
                 extra_file.unlink()
         yield summaries
-        with output_errors(output):
-            temporary.rename(output)
+        name_folder(temporary, output)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
