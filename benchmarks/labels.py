@@ -214,9 +214,9 @@ def scores_of(python: str, case: Case, folder: Path) -> dict[str, float]:
             lost += is_noise
         if n < LEAST_SHOTS:
             continue
-        name = NAMES.get(name, name)
-        if name in CLASSES:
-            scores[name] = result["classes"][name]["f1"] or 0.0
+        scored = NAMES.get(name, name)
+        if scored in CLASSES:
+            scores[scored] = result["classes"][name]["f1"] or 0.0
         if name in KEPT:
             scores[f"{name} as noise"] = is_noise / n
     return scores | {"good as noise": lost / max(good, 1)}
