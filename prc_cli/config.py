@@ -179,11 +179,11 @@ def batch_params(
     >>> batch_params({"batch": {"retry": 1}}, {"batch": {"stall": 9}, "method": "prc"}, "a.toml")
     (BatchParams(retry=1, stall=9.0), {'method': 'prc'})
     """
-    of_file = {key: table.pop(key) for key in ("batch",) if key in table}
-    of_options = {key: value for key, value in options.items() if key == "batch"}
+    others = dict(options)
+    of_file = {"batch": table.pop("batch")} if "batch" in table else {}
+    of_options = {"batch": others.pop("batch")} if "batch" in others else {}
     build(BatchTable, of_file, where)
-    params = build(BatchTable, merge(of_file, of_options), OPTION).batch
-    return params, {key: value for key, value in options.items() if key != "batch"}
+    return build(BatchTable, merge(of_file, of_options), OPTION).batch, others
 
 
 CHOSEN_FROM: tuple[MethodName, ...] = ("prc", "fused", "rings")

@@ -369,11 +369,13 @@ def _run(options: dict[str, Any], typed: Sequence[str]) -> None:
     if options["as_json"] and options["log_json"] == "-":
         message = "--json and --log-json - both write to stdout; give --log-json a file"
         raise click.UsageError(message)
-    settings = _settings(options)
+    layers = layers_from(options)
+    params = _params(layers)
+    settings = _settings(options, layers, params)
     if options["dry_run"]:
         _dry_run(settings, options)
         return
-    summary = _run_and_print(settings, options, typed)
+    summary = _run_and_print(settings, options, typed, has_stamps=params.time_stamps)
     if options["as_json"]:
         from prc_cli.jobs.batch.report import as_dict
 
@@ -399,15 +401,13 @@ def _verify(out: Path, *, as_json: bool, quiet: bool) -> None:
     click.get_current_context().exit(_verified_code(outputs))
 
 
-def _settings(options: dict[str, Any]) -> BatchSettings:
+def _settings(options: dict[str, Any], layers: Layers, params: BatchParams) -> BatchSettings:
     from prc_cli.jobs.batch.references import check_reference
     from prc_cli.jobs.batch.types import BatchSettings, ConfigLayers, ReferenceSettings, Shard
 
     if options["gates"] and options["reference"] is None:
         message = "--fail-under needs --reference TREE"
         raise click.UsageError(message)
-    layers = layers_from(options)
-    params = _params(layers)
     reference = None
     if options["reference"] is not None:
         reference = ReferenceSettings(
@@ -479,14 +479,13 @@ def _dry_run(settings: BatchSettings, options: dict[str, Any]) -> None:
 
 
 def _run_and_print(
-    settings: BatchSettings, options: dict[str, Any], typed: Sequence[str]
+    settings: BatchSettings, options: dict[str, Any], typed: Sequence[str], *, has_stamps: bool
 ) -> BatchSummary:
     from prc_cli.cli.batch_report import Final, JsonLog, ProgressPrinter, print_end, print_note
     from prc_cli.jobs.batch.run import Noted, Ready, run_batch
 
     quiet = options["quiet"]
     on_terminal = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
-    has_stamps = _params(layers_from(options)).time_stamps
     shows_bar = on_terminal and not quiet and not has_stamps
     log = None if options["log_json"] is None else JsonLog(options["log_json"])
     if log is not None:

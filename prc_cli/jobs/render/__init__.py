@@ -14,7 +14,6 @@ from prc_cli.jobs.choice import decide, decided_by
 from prc_cli.jobs.render.options import (
     PRC_STEPS,
     SUFFIX,
-    VIEWS,
     RenderOptions,
     RenderResult,
 )
@@ -115,4 +114,4 @@ def _decided(scan: Input, config: LoadedConfig, options: RenderOptions) -> Loade
     return decide(scan, config)
 
 
-__all__ = ["VIEWS", "RenderOptions", "RenderResult", "render"]
+__all__ = ["RenderOptions", "RenderResult", "render"]

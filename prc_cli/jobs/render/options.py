@@ -10,7 +10,6 @@ from prc_cli.core.brief import Brief
 from prc_cli.core.errors import ConfigError
 
 View: TypeAlias = Literal["scan", "top"]
-VIEWS: tuple[View, ...] = ("scan", "top")
 SUFFIX = ".png"
 WIDEST = 2200
 """Widest picture without frame [pixels]."""
