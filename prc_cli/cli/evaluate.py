@@ -53,11 +53,10 @@ from prc_cli.evaluation.reports import (
     match_line,
     overall_line,
     percent,
-    score_row,
+    score_table,
     split_table,
 )
 from prc_cli.evaluation.scores import (
-    CLASS_SCORES,
     Evaluation,
     GateResult,
     Interval,
@@ -612,11 +611,7 @@ def print_evaluation(
         rows.append((name, *(f"{count:,} ({percent(share)})" for count, share in cells)))
     title = "reference in rows, predicted in columns: records (share of the row)"
     print_table(title, ("reference", *shown.predicted_names), rows)
-    print_table(
-        "scores",
-        ("class", *CLASS_SCORES),
-        [score_row(item, intervals) for item in scores(shown).classes],
-    )
+    print_table("scores", *score_table(scores(shown), intervals))
     n_records = f"scored {table.n_scored:,} records, ignored {table.n_ignored:,}"
     results().print(f"{n_records}: {overall_line(table, intervals)}")
 

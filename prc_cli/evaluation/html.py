@@ -29,10 +29,11 @@ from prc_cli.evaluation.reports import (
     match_line,
     matrix_of,
     percent,
+    score_titles,
     split_table,
 )
 from prc_cli.evaluation.scores import (
-    CLASS_SCORES,
+    CALLED_NOISE_TITLE,
     OVERALL_SCORES,
     Evaluation,
     GateResult,
@@ -250,6 +251,7 @@ def as_html(
     """Return the page."""
     shown = matrix_of(comparison).trimmed()
     evaluation = comparison if isinstance(comparison, Evaluation) else None
+    shown_scores = scores(shown)
     for name, content in pictures:
         check_picture(name, content)
     mapped_names: tuple[str, ...] = ()
@@ -260,10 +262,13 @@ def as_html(
         "origin": origin,
         "evaluation": evaluation,
         "matrix": shown,
-        "scores": scores(shown),
+        "scores": shown_scores,
         "intervals": NO_INTERVALS if evaluation is None else evaluation.intervals,
         "overall_scores": OVERALL_SCORES,
-        "class_scores": [(name, _TITLES.get(name, name)) for name in CLASS_SCORES],
+        "class_scores": [
+            (name, _TITLES.get(name, title)) for name, title in score_titles(shown_scores).items()
+        ],
+        "called_noise_title": CALLED_NOISE_TITLE,
         "class_names": tuple(dict.fromkeys((*shown.reference_names, *shown.predicted_names))),
         "gates": gates,
         "gates_line": gates_line(gates),

@@ -23,6 +23,8 @@ from prc_cli.evaluation.reports import (
     with_interval,
 )
 from prc_cli.evaluation.scores import (
+    CALLED_NOISE,
+    CALLED_NOISE_TITLE,
     OVERALL_SCORES,
     TABLE_SCORES,
     Evaluation,
@@ -31,7 +33,8 @@ from prc_cli.evaluation.scores import (
     scores,
 )
 
-_TITLES = {"f1": "F1"}
+_TITLES = {"f1": "F1", CALLED_NOISE: CALLED_NOISE_TITLE}
+_OF_ALL = {CALLED_NOISE: f"good points {CALLED_NOISE_TITLE}"}
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -50,14 +53,15 @@ class ComparedMethods(Brief):
         return tuple(rows | columns)
 
     def table(self, dash: str = "-") -> tuple[list[str], list[list[str]]]:
-        """Return header and rows: recall, precision and F1 of every class, a column a method.
+        """Return header and rows: recall, precision, F1 of every class, a column a method.
 
-        The scores of the whole matrix and the number of scored records follow.
+        The share of every class called noise, the scores of the whole matrix and the number of
+        scored records follow.
         """
         methods = self.evaluations.values()
         tables = [scores(evaluation.matrix) for evaluation in methods]
         rows = []
-        for score in TABLE_SCORES:
+        for score in (*TABLE_SCORES, CALLED_NOISE):
             for name in self.classes:
                 cells = []
                 for evaluation, table in zip(methods, tables, strict=True):
@@ -67,12 +71,14 @@ class ComparedMethods(Brief):
                     )
                 if set(cells) != {dash}:
                     rows.append([_TITLES.get(score, score), name, *cells])
-        for score in OVERALL_SCORES:
+        for score in (*OVERALL_SCORES, CALLED_NOISE):
             cells = [
                 with_interval(getattr(table, score), evaluation.intervals.get(score), dash)
                 for evaluation, table in zip(methods, tables, strict=True)
             ]
-            rows.append([score.replace("_", " "), "all", *cells])
+            if set(cells) != {dash}:
+                title = _OF_ALL.get(score, score.replace("_", " "))
+                rows.append([title, "all", *cells])
         rows.append(["records", "scored", *(f"{table.n_scored:,}" for table in tables)])
         return ["score", "class", *self.evaluations], rows
 
@@ -203,7 +209,8 @@ def _with_best(rows: Sequence[Sequence[str]]) -> list[tuple[str, str, list[tuple
     for score, name, *cells in rows:
         values = [cell.split()[0] for cell in cells]
         numbers = [value for value in values if value != "-"]
-        best = max(numbers, key=float, default="") if score != "records" else ""
+        best_of = min if score.endswith(CALLED_NOISE_TITLE) else max
+        best = best_of(numbers, key=float, default="") if score != "records" else ""
         marked.append(
             (
                 score,

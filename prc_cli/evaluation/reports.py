@@ -17,9 +17,10 @@ from typing import Any, TypeAlias
 
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.scores import (
+    CALLED_NOISE,
+    CALLED_NOISE_TITLE,
     CLASS_SCORES,
     OVERALL_SCORES,
-    ClassScores,
     Evaluation,
     GateResult,
     Interval,
@@ -40,7 +41,7 @@ NO_INTERVALS: Mapping[str, Interval] = {}
 _CHANCE = 0.05
 """Kappa below which the two sides may be unrelated."""
 _ENOUGH = 1000
-_SCORE_COLUMNS = tuple(dict.fromkeys((*CLASS_SCORES, *OVERALL_SCORES)))
+_SCORE_COLUMNS = tuple(dict.fromkeys((*CLASS_SCORES, *OVERALL_SCORES, CALLED_NOISE)))
 """Score columns of a CSV table; the accuracy of classes and of the whole share one."""
 _TOTALS = ("n_reference", "n_predicted", "n_agreed")
 _SPECIAL = re.compile(r"([\\`*_\[\]<>|#~])")
@@ -138,10 +139,7 @@ def as_markdown(comparison: Comparison, gates: Iterable[GateResult] = ()) -> str
     parts = [
         "Reference in rows, predicted in columns: records (share of the row).",
         markdown_table(["reference", *shown.predicted_names, "sum"], matrix_rows),
-        markdown_table(
-            ["class", *CLASS_SCORES],
-            [score_row(class_scores, intervals) for class_scores in matrix_scores.classes],
-        ),
+        markdown_table(*score_table(matrix_scores, intervals)),
         f"Scored {matrix_scores.n_scored} records, ignored {matrix_scores.n_ignored}: "
         f"{overall_line(matrix_scores, intervals)}.",
     ]
@@ -167,11 +165,13 @@ def overall_line(
     >>> overall_line(scores(ConfusionMatrix(("a", "b"), ("a", "b"), np.array([[4, 1], [1, 4]]))))
     'accuracy 0.800, balanced accuracy 0.800, kappa 0.600'
     """
-    texts = []
-    for name in OVERALL_SCORES:
-        value = with_interval(getattr(matrix_scores, name), intervals.get(name), dash)
-        texts.append(f"{name.replace('_', ' ')} {value}")
-    return ", ".join(texts)
+    titles = {name: name.replace("_", " ") for name in OVERALL_SCORES}
+    if not math.isnan(matrix_scores.called_noise):
+        titles[CALLED_NOISE] = f"good points {CALLED_NOISE_TITLE}"
+    return ", ".join(
+        f"{title} {with_interval(getattr(matrix_scores, name), intervals.get(name), dash)}"
+        for name, title in titles.items()
+    )
 
 
 def match_line(match: MatchReport) -> str:
@@ -289,7 +289,9 @@ def _matrix_dict(matrix: ConfusionMatrix) -> dict[str, Any]:
     return {
         "n_scored": matrix_scores.n_scored,
         "n_ignored": matrix_scores.n_ignored,
-        "overall": {name: _defined(getattr(matrix_scores, name)) for name in OVERALL_SCORES},
+        "overall": {
+            name: _defined(getattr(matrix_scores, name)) for name in (*OVERALL_SCORES, CALLED_NOISE)
+        },
         "classes": classes,
         "confusion": {
             "reference": list(matrix.reference_names),
@@ -377,18 +379,30 @@ def _evaluation_blocks(evaluation: Evaluation, shown: ConfusionMatrix) -> Iterat
     )
 
 
-def score_row(
-    class_scores: ClassScores, intervals: Mapping[str, Interval], dash: str = "-"
-) -> list[str]:
-    """Return the name of a class and its scores with their intervals, as text."""
-    values = (
-        (getattr(class_scores, name), intervals.get(f"{name}.{class_scores.name}"))
-        for name in CLASS_SCORES
-    )
-    return [
-        class_scores.name,
-        *(with_interval(value, interval, dash) for value, interval in values),
-    ]
+def score_titles(matrix_scores: Scores) -> dict[str, str]:
+    """Return the columns of a table of classes: scores and their titles.
+
+    The good points called noise are among them if the predicted classes have noise.
+    """
+    titles = {name: name for name in CLASS_SCORES}
+    if not math.isnan(matrix_scores.called_noise):
+        titles[CALLED_NOISE] = CALLED_NOISE_TITLE
+    return titles
+
+
+def score_table(
+    matrix_scores: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS
+) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows of the table of classes: scores with their intervals, as text."""
+    titles = score_titles(matrix_scores)
+    rows = []
+    for item in matrix_scores.classes:
+        cells = [
+            with_interval(getattr(item, name), intervals.get(f"{name}.{item.name}"))
+            for name in titles
+        ]
+        rows.append([item.name, *cells])
+    return ["class", *titles.values()], rows
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]], n_words: int = 1) -> str:

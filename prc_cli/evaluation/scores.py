@@ -32,6 +32,14 @@ OVERALL_SCORES: Mapping[str, str] = {
     "kappa": "1: all equal, 0: as by chance",
 }
 """Scores of the whole matrix, in the order of the reports, and what each means."""
+CALLED_NOISE = "called_noise"
+"""Share of good points called noise, per class and of all classes but noise: the lower the better.
+
+It is reported beside the scores, and no gate asks for it.
+"""
+CALLED_NOISE_TITLE = "called noise"
+NOISE = "noise"
+"""Name of the class whose points are no good points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +63,8 @@ class ClassScores:
     """n_agreed / (n_reference + n_predicted - n_agreed), intersection over union."""
     accuracy: float
     """One against the rest: share of scored records where both sides say this class, or neither."""
+    called_noise: float
+    """Share of the reference records that are predicted as noise; NaN for noise itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +86,11 @@ class Scores:
     """Mean recall of the classes of both sides that have reference records."""
     kappa: float
     """Cohen's kappa: agreement beyond that of independent labels with the same totals."""
+    called_noise: float
+    """Share of the good points called noise, of all reference classes but noise together.
+
+    NaN if the predicted classes have no noise.
+    """
 
     @property
     def by_name(self) -> dict[str, ClassScores]:
@@ -109,6 +124,7 @@ def scores(matrix: ConfusionMatrix) -> Scores:
                 n_predicted.get(name, 0),
                 n_agreed,
                 **class_scores,
+                called_noise=float(values.get(f"{CALLED_NOISE}.{name}", [math.nan])[0]),
             )
         )
     return Scores(
@@ -116,7 +132,7 @@ def scores(matrix: ConfusionMatrix) -> Scores:
         scored=shared,
         n_scored=matrix.n_scored,
         n_ignored=matrix.n_ignored,
-        **{score: float(values[score][0]) for score in OVERALL_SCORES},
+        **{score: float(values[score][0]) for score in (*OVERALL_SCORES, CALLED_NOISE)},
     )
 
 
@@ -135,7 +151,8 @@ def _values_of(
     Returns
     -------
     dict of (n,) float64
-        By name as in ``--fail-under``: ``recall.ground``, ..., ``accuracy``; NaN if undefined.
+        By name as in ``--fail-under``: ``recall.ground``, ..., ``accuracy``; NaN if undefined. And
+        the good points called noise.
     """
     names = scored_names(reference_names, predicted_names)
     rows = [reference_names.index(name) for name in names]
@@ -168,7 +185,24 @@ def _values_of(
     n_defined = is_defined.sum(axis=1).astype(np.float64)
     values["balanced_accuracy"] = _shares(total_recall, n_defined)
     values["kappa"] = _shares(observed - by_chance, 1.0 - by_chance)
-    return values
+    return values | _good_points_called_noise(counts, reference_names, predicted_names)
+
+
+def _good_points_called_noise(
+    counts: NDArray[np.integer], reference_names: tuple[str, ...], predicted_names: tuple[str, ...]
+) -> dict[str, F64]:
+    """Return the share of the good points that is predicted as noise, by class and of all."""
+    good = [name for name in reference_names if name != NOISE]
+    rows = [reference_names.index(name) for name in good]
+    n_good = counts.sum(axis=2, dtype=np.float64)[:, rows]
+    n_noise = np.full(n_good.shape, np.nan)
+    if NOISE in predicted_names:
+        n_noise = counts[:, rows, predicted_names.index(NOISE)].astype(np.float64)
+    by_class = _shares(n_noise, n_good)
+    return {
+        CALLED_NOISE: _shares(n_noise.sum(axis=1), n_good.sum(axis=1)),
+        **{f"{CALLED_NOISE}.{name}": by_class[:, k] for k, name in enumerate(good)},
+    }
 
 
 def _shares(part: F64, total: F64) -> F64:
@@ -398,7 +432,6 @@ STATES = (
 )
 """What two labellings of a shot can be beside the reference."""
 NO_STATE = len(STATES)
-NOISE = "noise"
 LOST = -2
 """Code of a shot that the third labelling lacks, where that makes it noise."""
 TABLE_SCORES = ("recall", "precision", "f1")

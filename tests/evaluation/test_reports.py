@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 import re
@@ -15,6 +16,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.html import Curve, as_html, line_chart
 from prc_cli.evaluation.mapping import load_mapping
+from prc_cli.evaluation.methods import ComparedMethods
 from prc_cli.evaluation.reports import as_csv, as_dict, as_json, as_markdown, doubts
 from prc_cli.evaluation.scores import OVERALL_SCORES, Evaluation, Gate, check_gates, scores
 from tests.evaluation import samples
@@ -48,6 +50,24 @@ def test_reports_show_every_score_and_the_page_says_what_it_means() -> None:
         assert meaning in page
         assert name in header
         assert name in overall
+
+
+def test_reports_show_the_good_points_called_noise_where_there_is_noise() -> None:
+    names = ("noise", "ground")
+    matrix = ConfusionMatrix(names, names, np.array([[9, 1], [1, 7]]))
+    table = as_dict(matrix)
+    assert table["classes"]["noise"]["called_noise"] is None
+    assert table["classes"]["ground"]["called_noise"] == 0.125
+    assert table["overall"]["called_noise"] == 0.125
+    for text in (as_markdown(matrix), as_html(matrix)):
+        assert "called noise" in text
+        assert text.count("0.125") > 1
+    rows = list(csv.DictReader(as_csv(matrix).splitlines()))
+    assert [row["called_noise"] for row in rows] == ["", "0.125000", "0.125000"]
+    methods = ComparedMethods({"a": replace(samples.evaluation(), matrix=matrix, intervals={})})
+    assert ["called noise", "ground", "0.125"] in methods.table()[1]
+    for text in (as_markdown(MATRIX), as_html(MATRIX)):
+        assert "called noise" not in text
 
 
 def test_markdown_shows_names_of_users_as_they_are() -> None:

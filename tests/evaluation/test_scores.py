@@ -57,6 +57,24 @@ def test_scikit_learn_says_the_same(seed: int) -> None:
     assert matrix_scores.kappa == pytest.approx(metrics.cohen_kappa_score(reference, predicted))
 
 
+def test_good_points_called_noise_are_a_share_of_the_reference() -> None:
+    """Noise is no good point; every other class counts, those without counterpart too."""
+    rows = ("noise", "ground", "wire")
+    counts = np.array([[50, 5, 0], [10, 90, 0], [30, 10, 0]])
+    columns = ("noise", "ground", "stem")
+    table = scores(ConfusionMatrix(rows, columns, counts))
+    by_name = {name: row.called_noise for name, row in table.by_name.items()}
+    expected = {"noise": np.nan, "ground": 0.1, "wire": 0.75, "stem": np.nan}
+    assert by_name == pytest.approx(expected, nan_ok=True)
+    assert table.called_noise == 40 / 140
+    # without noise among the predicted classes it is not defined
+    table = scores(ConfusionMatrix(rows, ("a", "ground", "stem"), counts))
+    assert np.isnan([table.called_noise, *(row.called_noise for row in table.classes)]).all()
+    blocks = np.array([counts, counts, [[9, 1, 0], [2, 9, 0], [1, 1, 0]]])
+    intervals = block_intervals(blocks, rows, columns)
+    assert intervals["called_noise.ground"].low < 0.1 < intervals["called_noise.ground"].high
+
+
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
