@@ -33,7 +33,7 @@ import click
 
 from prc_cli.cli import cli
 from prc_cli.cli.options import ALL_OPTIONS
-from prc_cli.config import BatchTable, RunConfig, preset_summaries
+from prc_cli.config import CommandTables, RunConfig, preset_summaries
 from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
 from prc_cli.core.config import Params, model_in
 from prc_cli.formats.writing.columns import HIGH_NOISE_CODE
@@ -88,7 +88,12 @@ def configuration_page() -> str:
         presets` lists the presets, `prc config check FILE` checks a file, `prc config schema`
         prints the JSON schema.
         """
-    parts = [GENERATED, textwrap.dedent(intro), *_tables(RunConfig, ""), *_tables(BatchTable, "")]
+    parts = [
+        GENERATED,
+        textwrap.dedent(intro),
+        *_tables(RunConfig, ""),
+        *_tables(CommandTables, ""),
+    ]
     parts.append("## Presets\n")
     parts.append(
         "Each is a file of `sample_configs/`; what it does not set is a default. `prc "

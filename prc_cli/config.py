@@ -151,23 +151,35 @@ class BatchParams(Params):
     time_stamps: bool = Field(False, description="start log lines with the time (UTC)")
 
 
-class BatchTable(Params):
-    """The table ``[batch]`` of a configuration file."""
+class RenderParams(Params):
+    """What prc render draws; other commands ignore this table."""
+
+    station: int | None = Field(
+        None, description="number of the scanner or of the scan; default: the first"
+    )
+    dimension: str | None = Field(None, description="column or dimension of the classes")
+
+
+class CommandTables(Params):
+    """Tables of single commands in a configuration; the other commands ignore them."""
 
     batch: BatchParams = Field(default_factory=BatchParams)
+    render: RenderParams = Field(default_factory=RenderParams)
 
 
-def batch_params(
+def command_tables(
     table: dict[str, Any], options: Mapping[str, Any], where: str
-) -> tuple[BatchParams, dict[str, Any]]:
-    """Take ``[batch]`` out of a file's table and out of the options, which win.
+) -> tuple[CommandTables, dict[str, Any], dict[str, str]]:
+    """Take the tables of single commands out of a file's table and out of the options, which win.
 
     Returns
     -------
-    BatchParams
+    CommandTables
         The values.
     dict
-        The options without the table; ``table`` loses it, too.
+        The options without these tables; ``table`` loses them, too.
+    dict
+        Layer by dotted key, of the values that are set.
 
     Raises
     ------
@@ -176,14 +188,21 @@ def batch_params(
 
     Examples
     --------
-    >>> batch_params({"batch": {"retry": 1}}, {"batch": {"stall": 9}, "method": "prc"}, "a.toml")
-    (BatchParams(retry=1, stall=9.0), {'method': 'prc'})
+    >>> of_file = {"batch": {"retry": 1}}
+    >>> _, *rest = command_tables(of_file, {"batch": {"stall": 9}, "method": "prc"}, "a.toml")
+    >>> rest
+    [{'method': 'prc'}, {'batch.retry': 'a.toml', 'batch.stall': 'option'}]
     """
     others = dict(options)
-    of_file = {"batch": table.pop("batch")} if "batch" in table else {}
-    of_options = {"batch": others.pop("batch")} if "batch" in others else {}
-    build(BatchTable, of_file, where)
-    return build(BatchTable, merge(of_file, of_options), OPTION).batch, others
+    merged: dict[str, Any] = {}
+    commands = CommandTables()
+    sources: dict[str, str] = {}
+    for name, layer in ((where, table), (OPTION, others)):
+        tables = {key: layer.pop(key) for key in CommandTables.model_fields if key in layer}
+        merged = merge(merged, tables)
+        commands = build(CommandTables, merged, name)
+        sources |= dict.fromkeys(dict(flatten(tables)), name)
+    return commands, others, sources
 
 
 CHOSEN_FROM: tuple[MethodName, ...] = ("prc", "fused", "rings")
@@ -288,6 +307,8 @@ class LoadedConfig(Brief):
     """Choices that prc made by itself, one sentence each."""
     choice: MethodChoice | None = None
     """The method that prc chose, and why; None = the user named it."""
+    commands: CommandTables = field(default_factory=CommandTables)
+    """Settings of single commands."""
 
     @classmethod
     def of(cls, config: LoadedConfig | RunConfig | None) -> LoadedConfig:
@@ -348,7 +369,7 @@ def load_config(
         problem = "[[override]] tables choose among the files of an archive, here there is one"
         raise ConfigError(str(path), problem, "they are for prc batch; make a file without them")
     named = table.pop("preset", None)
-    _, options = batch_params(table, options or {}, str(path))
+    commands, options, sources = command_tables(table, options or {}, str(path))
     chosen = preset if preset is not None else named
     layers: list[tuple[str, Mapping[str, Any]]] = []
     if chosen is not None:
@@ -357,7 +378,8 @@ def load_config(
         layers.append((str(file_path), from_folder(table, file_path.parent)))
     if options:
         layers.append((OPTION, options))
-    return from_layers(layers, () if file_path is None else (file_path,))
+    loaded = from_layers(layers, () if file_path is None else (file_path,))
+    return replace(loaded, commands=commands, sources=loaded.sources | sources)
 
 
 def from_layers(
@@ -745,6 +767,6 @@ def json_schema() -> dict[str, Any]:
     schema["title"] = "prc configuration"
     preset = {"type": "string", "enum": list(PRESETS), "description": "parameters to start from"}
     schema["properties"] = {"preset": preset, **schema["properties"]}
-    batch = BatchParams.model_json_schema(by_alias=True)
-    schema["properties"]["batch"] = batch
+    for name, model in (("batch", BatchParams), ("render", RenderParams)):
+        schema["properties"][name] = model.model_json_schema(by_alias=True)
     return schema

@@ -26,7 +26,7 @@ from prc_cli.cli.options import (
 )
 from prc_cli.cli.output import print_json
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN, WRITTEN_TEXT
-from prc_cli.config import BatchParams, batch_params
+from prc_cli.config import BatchParams, command_tables
 from prc_cli.core.config import read_toml
 from prc_cli.core.errors import ConfigError, ExitCode, PrcError
 from prc_cli.core.interrupts import raise_or_wait
@@ -450,8 +450,8 @@ def _params(layers: Layers) -> BatchParams:
     mapping = batch.get("mapping") if isinstance(batch, Mapping) else None
     if isinstance(batch, dict) and isinstance(mapping, str) and mapping.endswith(".toml"):
         batch["mapping"] = str(Path(layers.path or "").parent / mapping)
-    params, _ = batch_params(table, layers.table, str(layers.path))
-    return params
+    commands, _, _ = command_tables(table, layers.table, str(layers.path))
+    return commands.batch
 
 
 def _engine(

@@ -10,7 +10,14 @@ import click
 from prc_cli.cli.options import config_from, stream_options
 from prc_cli.cli.output import print_json, print_result, print_text
 from prc_cli.cli.paths import READ
-from prc_cli.config import json_schema, load_config, preset_summaries, sample_summaries, to_toml
+from prc_cli.config import (
+    json_schema,
+    load_config,
+    params_to_toml,
+    preset_summaries,
+    sample_summaries,
+    to_toml,
+)
 from prc_cli.core.config import read_toml
 from prc_cli.core.errors import message
 
@@ -35,9 +42,10 @@ def show(as_json: bool, **options: Any) -> None:
     """
     loaded = config_from(options)
     if as_json:
-        print_json({"config": loaded.config.to_table(), "sources": loaded.sources})
+        commands = loaded.commands.model_dump(mode="json", exclude_none=True)
+        print_json({"config": loaded.config.to_table() | commands, "sources": loaded.sources})
     else:
-        print_text(to_toml(loaded))
+        print_text(f"{to_toml(loaded)}\n{params_to_toml(loaded.commands, loaded.sources)}")
 
 
 @config.command()

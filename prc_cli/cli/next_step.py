@@ -6,7 +6,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from prc_cli.cli.options import given_words
+from prc_cli.cli.options import PICTURE_FLAGS, given_words
 from prc_cli.core.files import suffix_of
 from prc_cli.formats import Input, scan_file
 from prc_cli.formats.labels import KITTI_SUFFIX
@@ -68,12 +68,13 @@ def after_classify(source: Path, output: Path, options: dict[str, Any]) -> list[
         # labels of a part do not fit the whole input, a cloud of a part is complete
         draw = ["prc", "render", typed(output), typed(picture), "--labels", typed(output)]
         return [] if not is_cloud(output) else [f"draw it: {shlex.join(draw)}"]
-    draw = ["prc", "render", typed(source), typed(picture), *given_words(options)]
+    draw = ["prc", "render", typed(source), typed(picture)]
     if not has_records:
-        return [f"draw it: {shlex.join(draw)}"]
-    labels = ["--labels", typed(output), *given_words(options, ("--method", "--preset"))]
-    draw = [*draw[:4], *labels]
-    check = ["prc", "check", typed(source), *labels]
+        return [f"draw it: {shlex.join([*draw, *given_words(options, flags=PICTURE_FLAGS)])}"]
+    labels = ["--labels", typed(output)]
+    of_method = ("--method", "--preset")
+    draw += [*labels, *given_words(options, of_method, PICTURE_FLAGS)]
+    check = ["prc", "check", typed(source), *labels, *given_words(options, of_method)]
     reference = source.with_suffix(KITTI_SUFFIX)
     has_reference = scan.is_dump and reference.is_file()
     compare = ["prc", "evaluate", typed(output), str(reference) if has_reference else "REFERENCE"]

@@ -43,10 +43,10 @@ def complete_assignment(
     ctx: click.Context, parameter: click.Parameter, incomplete: str
 ) -> list[str]:
     """Complete ``KEY=VALUE``: the keys of the configuration, then the words of a choice."""
-    from prc_cli.config import BatchTable, RunConfig
+    from prc_cli.config import CommandTables, RunConfig
 
     key, equals, value = incomplete.partition("=")
-    kinds = {**dict(_keys_of(RunConfig, "")), **dict(_keys_of(BatchTable, ""))}
+    kinds = {**dict(_keys_of(RunConfig, "")), **dict(_keys_of(CommandTables, ""))}
     if not equals:
         return [f"{name}=" for name in kinds if name.startswith(key)]
     return [f"{key}={word}" for word in _words(kinds.get(key)) if word.startswith(value)]
@@ -143,7 +143,7 @@ class SharedOption(NamedTuple):
     flag: str
     """As next steps write it."""
     key: str
-    """Of the configuration; empty = none, or not this value as it is."""
+    """Of the configuration; empty = none. A flag has its value, too: ``KEY=VALUE``."""
     declared: tuple[str, ...]
     attributes: dict[str, Any]
 
@@ -265,11 +265,17 @@ SHARED = (
         "input",
         "Input",
         "--trust-order",
+        key="input.order=trust",
         is_flag=True,
         help="Do not check the order of the records.",
     ),
     _option(
-        "sort", "Input", "--sort-by-time", is_flag=True, help="Sort the records by time first."
+        "sort",
+        "Input",
+        "--sort-by-time",
+        key="input.order=sort-time",
+        is_flag=True,
+        help="Sort the records by time first.",
     ),
     _option(
         "window",
@@ -399,7 +405,11 @@ def add_options(*options: Callable[[Any], Any]) -> Callable[[CommandT], CommandT
 
 
 def _groups(*groups: str) -> Callable[[CommandT], CommandT]:
-    chosen = [option for group in groups for option in SHARED if option.group == group]
+    return _flags(*(option.flag for group in groups for option in SHARED if option.group == group))
+
+
+def _flags(*flags: str) -> Callable[[CommandT], CommandT]:
+    chosen = [option for flag in flags for option in SHARED if option.flag == flag]
     return add_options(*(click.option(*option.declared, **option.attributes) for option in chosen))
 
 
@@ -407,6 +417,10 @@ live_options = _groups("method", "input")
 """Adds the options for classifying a stream as it arrives, which cannot be sorted."""
 stream_options = _groups("method", "input", "sort")
 """Adds the options for reading and classifying a stream."""
+PICTURE_FLAGS = ("--preset", "--config", "--set", "--layout", "--range", "-M", "--accept-doubt")
+"""Those of :data:`stream_options` that ``prc render`` has; the others are keys there."""
+picture_options = _flags(*PICTURE_FLAGS)
+"""Adds these options."""
 input_options = _groups("input", "sort")
 """Adds the options for reading a stream, for commands that do not classify."""
 window_options = _groups("window")
@@ -492,7 +506,11 @@ POSES = (
 """Options that give raw shots coordinates."""
 
 
-def given_words(options: Mapping[str, Any], leave_out: Collection[str] = ()) -> list[str]:
+def given_words(
+    options: Mapping[str, Any],
+    leave_out: Collection[str] = (),
+    flags: Collection[str] | None = None,
+) -> list[str]:
     """Return the options of :data:`stream_options` as they were typed, for the next command.
 
     Parameters
@@ -501,18 +519,26 @@ def given_words(options: Mapping[str, Any], leave_out: Collection[str] = ()) -> 
         Values by parameter.
     leave_out : collection of str
         Flags that are left out.
+    flags : collection of str, optional
+        Flags that the next command has; the others become keys. None = it has all.
 
     Examples
     --------
     >>> given_words({"preset": "urban", "points_per_line": 2154, "trust_order": False})
     ['--preset', 'urban', '-M', '2154']
+    >>> given_words({"lines": "fixed", "trust_order": True}, flags=())
+    ['--set', 'input.lines=fixed', '--set', 'input.order=trust']
     """
     words: list[str] = []
     for option in SHARED:
         value = options.get(option.parameter)
         if value and option.flag not in leave_out and option.group in ("method", "input", "sort"):
+            is_key = flags is not None and option.flag not in flags
             for part in value if isinstance(value, tuple) else (value,):
-                words += [option.flag] if part is True else [option.flag, str(part)]
+                texts = [] if part is True else [str(part)]
+                words += (
+                    ["--set", "=".join([option.key, *texts])] if is_key else [option.flag, *texts]
+                )
     return words
 
 
@@ -539,9 +565,7 @@ def config_from(options: Mapping[str, Any]) -> LoadedConfig:
 
 def layers_from(options: Mapping[str, Any]) -> Layers:
     """Read the values of :data:`stream_options` as separate layers, without merging them."""
-    sort_by_time = options.get("sort_by_time", False)
-    trust_order = options["trust_order"]
-    if sort_by_time and trust_order:
+    if options.get("sort_by_time") and options.get("trust_order"):
         message = "--sort-by-time and --trust-order contradict each other"
         raise click.UsageError(message)
     layout_file: Path | None = options["layout_file"]
@@ -557,10 +581,13 @@ def layers_from(options: Mapping[str, Any]) -> Layers:
     ):
         message = f"--preset {preset} is for --method {preset_method}, not {method}"
         raise click.UsageError(message)
-    keys = {option.parameter: option.key for option in SHARED if option.key}
+    keys = {
+        option.parameter: option.key for option in SHARED if option.key and "=" not in option.key
+    }
     table = merge(table, table_from(options["assignments"], options, keys))
-    if sort_by_time or trust_order:
-        table = merge(table, {"input": {"order": "sort-time" if sort_by_time else "trust"}})
+    for option in SHARED:
+        if "=" in option.key and options.get(option.parameter):
+            table = merge(table, parse_assignment(option.key))
     only = options.get("only")
     if only is not None:
         table = merge(table, {"input": {window_key(only): only}})

@@ -8,10 +8,11 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import MAPPING, QUIET, Sectioned, config_from, stream_options
+from prc_cli.cli.options import MAPPING, QUIET, Sectioned, config_from, picture_options
 from prc_cli.cli.output import print_json, print_line
 from prc_cli.cli.paths import READ, WRITTEN, ScanPath, in_folder
 from prc_cli.cli.report import line_progress
+from prc_cli.config import RenderParams
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.render import RenderOptions
 from prc_cli.jobs.render import render as render_file
@@ -25,7 +26,6 @@ from prc_cli.jobs.render import render as render_file
         "--labels",
         "--reference",
         "--mapping",
-        "--station",
         "--preset",
         "--config",
         "--overwrite",
@@ -43,21 +43,12 @@ from prc_cli.jobs.render import render as render_file
 @click.option(
     "--only", "drawn_lines", metavar="A:B", help="Draw only lines A to B - 1, counted from 0."
 )
-@click.option(
-    "--station",
-    type=int,
-    metavar="N",
-    help="Number of the scanner or of the scan.  [default: the first]",
-)
 @click.option("--labels", type=READ, metavar="FILE", help="Draw these classes, do not classify IN.")
-@click.option(
-    "--dimension", "labels_dimension", metavar="NAME", help="Column or dimension of --labels."
-)
 @click.option(
     "--reference", type=READ, metavar="FILE", help="Draw the differences to these classes."
 )
 @MAPPING
-@stream_options
+@picture_options
 @click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was drawn as JSON on stdout.")
 @QUIET
@@ -84,8 +75,8 @@ def render(
         --steps classes,reference,difference
       prc render out.laz cloud.png --steps top
     """
-    chosen = _render_options(options)
     loaded = config_from(options)
+    chosen = _render_options(options, loaded.commands.render)
     with line_progress(source.name, quiet=quiet) as progress:
         if output.suffix.lower() in PAGES:
             # loaded where it is needed, which keeps the start of pictures short
@@ -111,31 +102,16 @@ def render(
 
 PAGES = (".html", ".htm")
 """Suffixes of a page."""
-_FIGURE_1 = "figure1"
-_TOP = "top"
-_AS_GIVEN = (
-    "station",
-    "labels",
-    "labels_dimension",
-    "reference",
-    "mapping",
-)
-"""Options of the command that :class:`RenderOptions` has under the same name."""
 
 
-def _render_options(options: dict[str, Any]) -> RenderOptions:
-    steps = None if options["steps"] is None else _names(options["steps"])
+def _render_options(options: dict[str, Any], params: RenderParams) -> RenderOptions:
     lines = options["drawn_lines"]
-    alone = set(steps or ()) & {_FIGURE_1, _TOP}
-    if alone and len(steps or ()) > 1:
-        problem = f"found {options['steps']!r}, expected {alone.pop()} by itself"
-        raise ConfigError("--steps", problem, "draw two pictures")
     return RenderOptions(
-        steps=None if alone else steps,
-        figure1=_FIGURE_1 in alone,
-        view="top" if _TOP in alone else "scan",
+        steps=None if options["steps"] is None else _names(options["steps"]),
         lines=None if lines is None else _span(lines),
-        **{name: options[name] for name in _AS_GIVEN},
+        station=params.station,
+        labels_dimension=params.dimension,
+        **{name: options[name] for name in ("labels", "reference", "mapping")},
     )
 
 

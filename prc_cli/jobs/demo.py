@@ -67,7 +67,7 @@ PARTS: dict[str, Part] = {
         "urban",
         "prc-2019-urban",
         "prc",
-        RenderOptions(figure1=True),
+        RenderOptions(steps=("figure1",)),
         {},
         scan_of="drive",
     ),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from pathlib import Path
 
@@ -33,6 +34,18 @@ def test_an_old_preset_has_a_note_and_the_new_name_in_the_sources(prc: Prc) -> N
     result = prc("config", "show", "--preset", "forest")
     assert result.err == "note: preset forest is now called prc-2019-forest\n"
     assert "# from: preset prc-2019-forest" in result.out
+
+
+def test_tables_of_single_commands_are_shown_with_their_sources(prc: Prc, tmp_path: Path) -> None:
+    file = tmp_path / "a.toml"
+    file.write_text("[batch]\nstall = 1800\n[render]\nstation = 2\n", encoding="utf-8")
+    shown = prc("config", "show", "--config", file, "--set", "batch.retry=2").out
+    assert f"stall = 1800.0  # from: {file}" in shown
+    assert "retry = 2  # from: option" in shown
+    (tmp_path / "b.toml").write_text(shown, encoding="utf-8")
+    again = prc("config", "show", "--config", tmp_path / "b.toml", "--json")
+    config = json.loads(again.out)["config"]
+    assert (config["batch"]["retry"], config["render"]["station"]) == (2, 2)
 
 
 @pytest.mark.parametrize(

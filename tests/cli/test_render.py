@@ -53,7 +53,7 @@ def test_refusals_are_one_line_each(prc: Prc, drive: Path, tmp_path: Path) -> No
         (["--steps", "top", "--only", "0:9"], 2, ["--only: belongs to lines and columns"]),
         (["--steps", "top,classes"], 2, ["--steps: found 'top,classes', expected top by itself"]),
         (
-            ["--steps", "figure1", "--method", "sequential-angle"],
+            ["--steps", "figure1", "--set", "method=sequential-angle"],
             2,
             ["--steps figure1: belongs to prc"],
         ),

@@ -29,6 +29,7 @@ INPUTS = {
 """Seeds of archive files, by target."""
 
 _P = ("--preset", "prc-2019-urban", "--trust-order")
+_DRAWN = ("--preset", "prc-2019-urban", "--set", "input.order=trust")
 LABELLED = ("classify", "{case}", "{out}/o.npy", *BLOCKS)
 """The command whose labels are compared with those of other ways."""
 _UPRIGHT = (
@@ -125,8 +126,8 @@ READ: tuple[tuple[str, ...], ...] = (
     ("evaluate", "{case}", "{case}", "--match", "time", "--tolerance", "0.1", "--by", "range:5,10"),
     ("evaluate", "{case}", "{case}", "-M", "24", "--by", "lines:4", "--intervals"),
     ("thin", "{case}", "{out}/o.npz", "--keep", "ground=1/4", *_P),
-    ("render", "{case}", "{out}/o.png", *_P),
-    ("render", "{case}", "{out}/o.png", *_P, "--steps", "top", "--range", "sensor-xyz"),
+    ("render", "{case}", "{out}/o.png", *_DRAWN),
+    ("render", "{case}", "{out}/o.png", *_DRAWN, "--steps", "top", "--range", "sensor-xyz"),
     ("calibrate", "{case}", "-o", "{out}/o.toml", "--trust-order", "--preset", "prc-2019-urban"),
 )
 
@@ -168,7 +169,7 @@ RECORDED = (
     ("classify", "{case}", "{out}/o.csv", "--method", "sequential-angle", "--trust-order"),
     ("convert", "{case}", "{out}/o.npz", "--trust-order"),
     ("convert", "{case}", "{out}/o.las", "--trust-order"),
-    ("render", "{case}", "{out}/o.png", *_P),
+    ("render", "{case}", "{out}/o.png", *_DRAWN),
 )
 """Commands for bags and captures, which hold their lines and columns."""
 _META = ("--set", "input.metadata={seeds}/ouster.json")

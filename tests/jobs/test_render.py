@@ -131,14 +131,14 @@ def test_the_headline_names_the_scanner_of_several(tmp_path: Path) -> None:
     [
         (
             "street-scan",
-            {"figure1": True},
-            "--steps figure1: belongs to prc, found the method sequential-angle; add --method prc",
+            {"steps": ("figure1",)},
+            "--steps figure1: belongs to prc, .* sequential-angle; add --set method=prc",
         ),
-        ("urban", {"station": 4}, r"--station: found 4, but .*drive\.npz holds one, number 0"),
+        ("urban", {"station": 4}, r"render.station: found 4, but .*drive\.npz holds one, number 0"),
         ("urban", {"steps": ("intensity",)}, "--steps: found 'intensity', but the input has none"),
         (
             "urban",
-            {"view": "top", "lines": (0, 5)},
+            {"steps": ("top",), "lines": (0, 5)},
             "--only: belongs to lines and columns, found --steps top",
         ),
     ],

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from prc_cli.config import (
     LoadedConfig,
     RunConfig,
-    batch_params,
+    command_tables,
     from_folder,
     from_layers,
     preset_layer,
@@ -46,7 +46,8 @@ class BatchConfig:
         self._layers = layers
         self._where = str(layers.path)
         table = {} if layers.path is None else read_toml(layers.path)
-        self.batch, self._options = batch_params(table, layers.options, self._where)
+        commands, self._options, _ = command_tables(table, layers.options, self._where)
+        self.batch = commands.batch
         """Values of the table ``[batch]``."""
         overrides = table.pop("override", [])
         self._preset = table.pop("preset", None)

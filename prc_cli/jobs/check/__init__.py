@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,7 +26,6 @@ from prc_cli.formats.labels import open_codes
 from prc_cli.formats.records import Source
 from prc_cli.formats.writing.record import fingerprint
 from prc_cli.imaging.check_page import check_page
-from prc_cli.imaging.page import HandLabels
 from prc_cli.jobs.check.draw import Drawn, draw, read_confidence
 from prc_cli.jobs.check.surroundings import surroundings
 from prc_cli.jobs.progress import advance
@@ -143,7 +141,9 @@ def check(
         answers=answers.model_dump(mode="json"),
         colours=[words.table.colour(words.table.names.index(name)) for name in answers.classes],
         file=name,
-        labels=_hand_labels(source, words, answers, stream.info.n_records),
+        labels=words.hand_labels(
+            source, stream.info.n_records, digest=answers.classified.sha256[:16]
+        ),
     )
     with atomic_output(output, overwrite=overwrite) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
@@ -155,16 +155,6 @@ def check(
         drawn.strata,
         answers.classes,
         output.stat().st_size,
-    )
-
-
-def _hand_labels(
-    source: Path, words: Vocabulary, answers: Answers, n_records: int | None
-) -> HandLabels:
-    name = f"{source.stem}_labels.csv"
-    command = shlex.join(["prc", "evaluate", source.name, name])
-    return HandLabels(
-        words.painted(), answers.classified.sha256[:16], source.name, n_records, name, command
     )
 
 

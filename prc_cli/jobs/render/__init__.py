@@ -75,7 +75,7 @@ def render(
     refuse_window(config.config, "prc render")
     config = _decided(scan, config, chosen)
     with temporary_folder("prc-render-") as scratch:
-        if chosen.view == "scan":
+        if not chosen.is_from_above:
             drawing = draw_scan(scan, config, chosen, scratch, progress)
             result = RenderResult(
                 (),
@@ -105,10 +105,10 @@ def _decided(scan: Input, config: LoadedConfig, options: RenderOptions) -> Loade
 
     It names PRC if the options ask for its steps, or if no method is needed.
     """
-    if config.config.is_decided or options.view != "scan":
+    if config.config.is_decided or options.is_from_above:
         return config
     steps = set(options.steps or ())
-    of_prc = options.figure1 or steps & set(PRC_STEPS)
+    of_prc = options.is_figure1 or steps & set(PRC_STEPS)
     if of_prc or options.labels is not None or (steps and not steps - NOT_LABELLED):
         return decided_by(MethodChoice("prc-2019-urban", "its steps are asked for"), config)
     return decide(scan, config)

@@ -199,16 +199,9 @@ def draw_cloud(
 
 
 def _check_options(options: RenderOptions) -> None:
-    for name, value in (
-        ("--steps", options.steps),
-        ("--only", options.lines),
-    ):
-        if value is not None:
-            raise ConfigError(
-                name,
-                "belongs to lines and columns, found --steps top",
-                "leave one of them out",
-            )
+    if options.lines is not None:
+        problem = "belongs to lines and columns, found --steps top"
+        raise ConfigError("--only", problem, "leave one of them out")
     if options.labels is not None and options.reference is not None:
         raise ConfigError(
             "--reference", "given together with --labels, expected one of them to colour a cloud by"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from prc_cli.core.version import __version__
 from prc_cli.evaluation.mapping import ClassMapping, Side, load_mapping
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.writing.record import PROGRAM, record_path
-from prc_cli.imaging.page import PaintedClass
+from prc_cli.imaging.page import HandLabels, PaintedClass
 from prc_cli.imaging.pictures import (
     MISSING_COLOUR,
     NOT_SCORED_COLOUR,
@@ -137,8 +138,18 @@ class Vocabulary:
         """Indices of noise."""
         return {i for i, name in enumerate(self.table.names) if name == LABEL_NAMES[Label.NOISE]}
 
-    def painted(self) -> list[PaintedClass]:
-        """Return the classes that can be painted, with a code of the reference side."""
+    def hand_labels(
+        self, labelled: Path, n_records: int | None, *, digest: str = "", predicted: str = ""
+    ) -> HandLabels:
+        """Return what a page needs to label a file by hand.
+
+        ``digest`` is that of the file, ``predicted`` the name that the evaluation takes.
+        """
+        name = f"{labelled.stem}_labels.csv"
+        command = shlex.join(["prc", "evaluate", predicted or labelled.name, name])
+        return HandLabels(self._painted(), digest, labelled.name, n_records, name, command)
+
+    def _painted(self) -> list[PaintedClass]:
         if self.mapping is None:
             labels = [label for label in Label if label > Label.UNCLASSIFIED]
             codes = {LABEL_NAMES[label]: self.codes.code(label) for label in labels}

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeAlias
 
 from prc_cli.core.brief import Brief
 from prc_cli.core.errors import ConfigError
 
-View: TypeAlias = Literal["scan", "top"]
 SUFFIX = ".png"
 WIDEST = 2200
 """Widest picture without frame [pixels]."""
@@ -24,7 +22,7 @@ PRC_STEPS = (
     "segmentation",
 )
 FIGURE_1 = ("range", *(step for step in PRC_STEPS if step != "critical"), "classes")
-"""The paper's Fig. 1 (Lehtola et al. 2019)."""
+"""The paper's Fig. 1 (Lehtola et al. 2019), for one block; default: the second, or the only one."""
 
 TITLES = {
     "range": "range",
@@ -52,14 +50,14 @@ REFERENCE_STEPS = ("reference", "difference")
 class RenderOptions:
     """Contents and size of a picture."""
 
-    view: View = "scan"
-    """``scan``: lines and columns; ``top``: the points from above."""
     steps: tuple[str, ...] | None = None
-    """Pictures of the scan view, from top to bottom; None = chosen by the part drawn."""
+    """Pictures from top to bottom; None = chosen by the part drawn.
+
+    ``figure1`` is the sequence of the paper's Fig. 1, ``top`` the points from above; both stand by
+    themselves.
+    """
     lines: tuple[int, int] | None = None
     """First line, and last line + 1, from 0."""
-    figure1: bool = False
-    """The sequence of the paper's Fig. 1, for one block; default: the second, or the only one."""
     station: int | None = None
     """Scanner, or scan of the file; None = the first one."""
     labels: Path | None = None
@@ -78,6 +76,22 @@ class RenderOptions:
     """
     mount: tuple[float, ...] = ()
     """Scanner on the vehicle: roll, pitch, yaw [deg]; x, y, z from the trajectory's point [m]."""
+
+    def __post_init__(self) -> None:
+        alone = {"figure1", "top"}.intersection(self.steps or ())
+        if alone and len(self.steps or ()) > 1:
+            problem = f"found {','.join(self.steps or ())!r}, expected {alone.pop()} by itself"
+            raise ConfigError("--steps", problem, "draw two pictures")
+
+    @property
+    def is_figure1(self) -> bool:
+        """Whether the paper's Fig. 1 is drawn."""
+        return self.steps == ("figure1",)
+
+    @property
+    def is_from_above(self) -> bool:
+        """Whether the points from above are drawn, not lines and columns."""
+        return self.steps == ("top",)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -124,13 +138,13 @@ def choose_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
     )
     of_reference = () if options.reference is None else REFERENCE_STEPS
     possible = ("range", "intensity", *steps, *of_reference)
-    chosen = FIGURE_1 if options.figure1 else options.steps
+    chosen = FIGURE_1 if options.is_figure1 else options.steps
     if chosen is None:
         is_whole_drive = options.lines is None
         chosen = tuple(step for step in possible if step not in ON_REQUEST)
         if is_whole_drive:
             chosen = ("range", "classes", *of_reference)
-    elif options.figure1 and of_reference:
+    elif options.is_figure1 and of_reference:
         chosen = (*chosen, "reference")
     hint = f"possible here: {', '.join(possible)}"
     for step in (wrong for wrong in chosen if wrong not in possible):

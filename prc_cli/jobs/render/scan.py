@@ -100,7 +100,9 @@ def of_station(
         numbers = ", ".join(str(number) for number in sorted(met)[:20])
         shown = f"one, number {numbers}" if len(met) == 1 else f"{len(met)}, numbers {numbers}"
         shown += ", ..." if len(met) > 20 else ""
-        raise ConfigError("--station", f"found {station}, but {stream.info.path} holds {shown}")
+        raise ConfigError(
+            "render.station", f"found {station}, but {stream.info.path} holds {shown}"
+        )
 
 
 def upright(beam_rad: F64 | None) -> NDArray[np.intp] | None:
@@ -313,11 +315,11 @@ def draw_scan(
 
 
 def _check_part(method: str, options: RenderOptions) -> None:
-    if options.figure1 and method != "prc":
+    if options.is_figure1 and method != "prc":
         raise ConfigError(
-            "--steps figure1", f"belongs to prc, found the method {method}", "add --method prc"
+            "--steps figure1", f"belongs to prc, found the method {method}", "add --set method=prc"
         )
-    if options.figure1 and options.labels is not None:
+    if options.is_figure1 and options.labels is not None:
         problem = "the figure shows the steps of prc, which a label file does not hold"
         raise ConfigError("--steps figure1", problem, "leave --labels out")
 
@@ -342,7 +344,7 @@ def choose_part(options: RenderOptions, loaded: LoadedConfig, stream: ScanStream
         if number < len(names):
             scanner += f": {names[number]}"
     k = loaded.config.prc.lines_per_block
-    if options.figure1 and options.lines is None:
+    if options.is_figure1 and options.lines is None:
         # the second block, or the only one
         first = min(1, -(-n_lines // k) - 1) * k
         return Part(first, min(first + k, n_lines), n_lines, scanner)
@@ -364,9 +366,9 @@ def _choose_layout(
     n = part.stop - part.first
     m = first.points_per_line
     width = WIDEST
-    if upright(first.beam_rad) is not None and not options.figure1:
+    if upright(first.beam_rad) is not None and not options.is_figure1:
         return _Layout("upright", -(-n // width), -(-m // UPRIGHT_HEIGHT))
-    if options.figure1 or n <= m:
+    if options.is_figure1 or n <= m:
         height = max(200, BLOCK_HEIGHT // n_steps - FRAME_HEIGHT)
         return _Layout("block", -(-n // height), -(-m // width))
     return _Layout("drive", -(-n // width), -(-m // DRIVE_HEIGHT))
@@ -594,7 +596,7 @@ def describe(
     elif set(drawing.steps) - NOT_LABELLED:
         labelled = made_with(loaded)
     lines = f"{part.sentence()} lines" if part.is_whole else part.sentence()
-    if not part.is_whole and options.figure1:
+    if not part.is_whole and options.is_figure1:
         lines = f"block {part.first // loaded.config.prc.lines_per_block}, {lines}"
     step = thinned(drawing.thinned_by)
     return heading(

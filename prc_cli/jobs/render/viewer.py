@@ -23,7 +23,6 @@ from prc_cli.core.version import __version__
 from prc_cli.formats.input import Input
 from prc_cli.formats.records import Source
 from prc_cli.formats.writing.columns import behind
-from prc_cli.imaging.page import HandLabels
 from prc_cli.imaging.viewer import ClassEntry, Shots, Values, viewer_page
 from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import label_blocks
@@ -173,7 +172,11 @@ def render_viewer(
         head=head,
         notes=notes,
         foot=f"Written by prc render {__version__}.",
-        labels=_hand_labels(scan, chosen, words, stream.info.n_records),
+        labels=words.hand_labels(
+            chosen.labels or scan.path,
+            stream.info.n_records,
+            predicted="" if chosen.labels or scan.is_las else "PREDICTED",
+        ),
         why="" if classes is not None else _explain(scan, loaded, chosen),
     )
     with atomic_output(output, overwrite=overwrite) as temporary:
@@ -187,17 +190,6 @@ def render_viewer(
         counts=words.table.count_by_name(kept.counts),
         n_points=0 if shots.xyz_m is None else int(np.isfinite(shots.xyz_m[..., 0]).sum()),
         notes=notes,
-    )
-
-
-def _hand_labels(
-    scan: Input, options: RenderOptions, words: Vocabulary, n_records: int | None
-) -> HandLabels:
-    labelled = options.labels or scan.path
-    name = f"{labelled.stem}_labels.csv"
-    evaluate = ["prc", "evaluate", labelled.name if options.labels or scan.is_las else "PREDICTED"]
-    return HandLabels(
-        words.painted(), "", labelled.name, n_records, name, shlex.join([*evaluate, name])
     )
 
 
@@ -220,9 +212,7 @@ def _check(output: Path, options: RenderOptions) -> None:
         )
     for name, value in (
         ("--steps", options.steps),
-        ("--steps figure1", options.figure1 or None),
         ("--reference", options.reference),
-        ("--steps top", None if options.view == "scan" else options.view),
     ):
         if value is not None:
             raise ConfigError(
