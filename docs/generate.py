@@ -20,10 +20,11 @@ every row becomes the one with the same first cell in the first table there.
 
 from __future__ import annotations
 
+import inspect
 import re
 import sys
 import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
@@ -31,6 +32,7 @@ from typing import Any
 
 import click
 
+import prc_cli
 from prc_cli.cli import cli
 from prc_cli.cli.options import ALL_OPTIONS
 from prc_cli.config import CommandTables, RunConfig, preset_summaries
@@ -43,6 +45,8 @@ from prc_cli.simulation.settings import KINDS, load_settings
 from prc_cli.streams.evidence.table import check_table
 
 ROOT = Path(__file__).resolve().parent.parent
+PYTHON = ROOT / "docs/reference/api.md"
+"""Written by hand, but for the signatures."""
 GENERATED = "<!-- written by docs/generate.py from the code; do not edit -->\n"
 
 
@@ -264,6 +268,77 @@ def simulation_page() -> str:
         parts += [table.replace("## ", "### ", 1) for table in shown if table not in seen]
         seen |= set(shown)
     return "\n".join(parts)
+
+
+_SIGNATURES = re.compile(r"(?<=<!-- signatures -->\n).*?(?=<!-- end of signatures -->)", re.DOTALL)
+_ROLE = re.compile(r":\w+:`~?([\w.]+)`")
+_SHOWN = ("Parameters", "Returns", "Yields", "Raises")
+"""Sections of a docstring that the page of the Python interface has."""
+_LONGEST_LINE = 88
+
+
+def python_page(text: str) -> str:
+    """Return the page of the Python interface with the signatures of all public functions.
+
+    Every function has its signature, its first paragraph, its parameters, results and errors.
+    """
+    functions = [
+        (name, found)
+        for name in prc_cli.__all__
+        if inspect.isfunction(found := getattr(prc_cli, name))
+    ]
+    parts = "\n".join(_function(name, found) for name, found in functions)
+    return _SIGNATURES.sub(lambda _: f"\n{parts}\n", text)
+
+
+def _function(name: str, function: Callable[..., Any]) -> str:
+    documentation = inspect.getdoc(function) or ""
+    blocks = re.split(r"^(\w[\w ]*)\n-{3,}\n", documentation, flags=re.MULTILINE)
+    sections = dict(zip(blocks[1::2], blocks[2::2], strict=True))
+    summary = _markdown(blocks[0].strip().split("\n\n")[0])
+    parts = [f"### {name}\n", f"```text\n{_signature(name, function)}\n```\n", f"{summary}\n"]
+    parts += [
+        f"**{title}**\n\n{_entries(sections[title])}\n" for title in _SHOWN if title in sections
+    ]
+    return "\n".join(parts)
+
+
+def _signature(name: str, function: Callable[..., Any]) -> str:
+    """Write a signature on one line, or a parameter a line; functions as defaults are dots."""
+    shown = []
+    signature = inspect.signature(function)
+    is_keyword_only = False
+    for parameter in signature.parameters.values():
+        if parameter.kind is parameter.KEYWORD_ONLY and not is_keyword_only:
+            is_keyword_only = True
+            shown.append("*")
+        default = parameter.default
+        words = f"{parameter.name}: {parameter.annotation}"
+        if default is not parameter.empty:
+            words += f" = {'...' if callable(default) else repr(default)}"
+        shown.append(words)
+    line = f"{name}({', '.join(shown)}) -> {signature.return_annotation}"
+    if len(line) <= _LONGEST_LINE:
+        return line
+    rows = "".join(f"    {words},\n" for words in shown)
+    return f"{name}(\n{rows}) -> {signature.return_annotation}"
+
+
+def _entries(section: str) -> str:
+    """Write the entries of a section of a docstring as a list."""
+    rows = []
+    for line in section.strip().splitlines():
+        if line and not line.startswith(" "):
+            name, _, kind = line.partition(" : ")
+            rows.append(f"- `{name}`{f' ({_markdown(kind)})' if kind else ''}:")
+        elif line.strip():
+            rows[-1] += f" {_markdown(line.strip())}"
+    return "\n".join(textwrap.fill(row.rstrip(":"), 120, subsequent_indent="  ") for row in rows)
+
+
+def _markdown(text: str) -> str:
+    """Return text of a docstring as Markdown."""
+    return _ROLE.sub(r"`\1`", text.replace("``", "`"))
 
 
 def _row(title: str, cells: Iterable[str]) -> str:
@@ -496,6 +571,7 @@ def pages() -> dict[Path, str]:
         ROOT / "docs/reference/simulation.md": simulation_page(),
         ROOT / "sample_configs/viewers/prc_classes.qml": qgis_style(),
         ROOT / "sample_configs/viewers/prc_classes_potree.js": potree_classes(),
+        PYTHON: python_page(PYTHON.read_text(encoding="utf-8")),
         ROOT / "docs/changelog.md": GENERATED + changelog.replace("](docs/", "]("),
         **prose(),
     }

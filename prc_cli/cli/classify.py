@@ -102,14 +102,14 @@ def classify(
 ) -> None:
     """Give every shot of IN its class and write OUT.
 
-    OUT is .las or .laz (only the class codes differ from IN), a bag if IN is a bag, or the labels
-    alone: .npy, .csv, .parquet. prc records the run in OUT and in OUT.prc.json.
+    OUT is .las, .laz, .ply or .pcd, a bag if IN is a bag, or only the labels: .npy, .csv, .parquet.
+    prc records the run in OUT and in OUT.prc.json.
 
     If OUT is an existing folder, the output gets the name of IN in it. If you name several files,
     prc reads them as one drive, in this order. OUT is then a folder with one output per file.
 
-    If you name no method, prc chooses one from the input: fused if the beam angles are known, else
-    PRC. It prints the method and the reason.
+    If you name no method, prc chooses one from the input: rings for spinning scanners, fused if the
+    beam angles are known, else PRC 2019. It prints the method and the reason.
 
     prc checks the input and its own labels. If a check fails, nothing is written (exit code 1). If
     a check is unsure, labels and a warning are written (exit code 4).

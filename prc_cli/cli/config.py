@@ -27,7 +27,7 @@ def config() -> None:
     """Show, check or describe the configuration.
 
     \b
-    Example: prc config show --preset fused-forest > prc_2019_forest.toml
+    Example: prc config show --preset fused-forest > forest.toml
     """
 
 
@@ -38,7 +38,7 @@ def show(as_json: bool, **options: Any) -> None:
     """Print the effective configuration as TOML, ready to use as a configuration file.
 
     \b
-    Example: prc config show --method prc --set prc.support.zeta_p=0.1
+    Example: prc config show --set fused.lines_per_block=50
     """
     loaded = config_from(options)
     if as_json:

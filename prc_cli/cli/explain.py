@@ -45,7 +45,7 @@ def explain(
     \b
     Examples:
       prc explain drive.laz --at 1200,537
-      prc explain drive.laz --at 1200,537 --preset fused --json
+      prc explain drive.laz --at 1200,537 --json
     """
     line, column = _place(place)
     loaded = config_from(options)

@@ -85,7 +85,7 @@ def thin(
     \b
     Examples:
       prc thin drive_classified.laz drive_thin.laz --keep ground=1/4
-      prc thin drive.laz drive_thin.laz --preset fused --spacing ground=0.1 --keep vegetation=0
+      prc thin drive.laz drive_thin.laz --spacing ground=0.1 --keep vegetation=0
       prc thin drive.csv.gz drive_thin.npz --labels labels.npy --keep building=0.5
       prc thin velodyne/ still/ --keep-only ground,building,pole
     """

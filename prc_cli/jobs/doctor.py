@@ -299,7 +299,7 @@ def _extras() -> Iterator[Check]:
             missing.append(extra)
     text = f"installed: {', '.join(installed) or 'none'}"
     if missing:
-        text += f"; not installed: {', '.join(missing)} (pip install '{DISTRIBUTION}[NAME]')"
+        text += f'; not installed: {", ".join(missing)} (pip install ".[NAME]")'
     if installed or missing:
         yield _check(
             "extras",

@@ -108,7 +108,10 @@ def check_few_lines(n_lines: int, n_shots: int) -> Iterator[Finding]:
         else f"all {n_shots:,} shots are in one scan line"
     )
     is_lineless = n_lines <= 1 and n_shots >= LONGEST_LINE
-    hint = "find the lines in another way: --lines dimension:NAME, time:HZ or elevation:DEG, or -M"
+    hint = (
+        "name all files of the drive; or find the lines in another way: "
+        "--lines dimension:NAME, time:HZ or elevation:DEG, or -M"
+    )
     verdict = verdict_of(doubtful=n_lines < LEAST_LINES, against=is_lineless)
     yield Finding("few-lines", verdict, measured, f"at least {LEAST_LINES} lines", hint)
 
