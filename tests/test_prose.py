@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 LONGEST_SENTENCE = 25
 LONGEST_PAGE = 1200
-MANUAL = 21_950
+MANUAL = 20_800
 """Words of all pages by hand; 20,000 is the aim."""
 WRITTEN = "<!-- written by"
 PAGES = [
@@ -61,12 +61,6 @@ def count_of(path: Path) -> int:
     return len(text.split())
 
 
-LEFT: dict[str, int] = {
-    "batch_files.md": 12,
-    "outputs.md": 10,
-    "workflow.md": 5,
-}
-"""Problems of pages that are not rewritten yet: counted down, never up."""
 LONG: dict[str, int] = {}
 """Words of pages that are too long: counted down, never up."""
 
@@ -74,7 +68,7 @@ LONG: dict[str, int] = {}
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
 def test_a_page_is_plain_english(path: Path) -> None:
     found = problems(path.read_text(encoding="utf-8"))
-    assert len(found) <= LEFT.get(path.name, 0), "\n".join(found)
+    assert not found, "\n".join(found)
 
 
 def test_pages_and_the_manual_are_short() -> None:
@@ -83,6 +77,22 @@ def test_pages_and_the_manual_are_short() -> None:
     assert sum(words.values()) <= MANUAL
     long = {name: n for name, n in words.items() if n > LONG.get(name, LONGEST_PAGE)}
     assert long == {}
+
+
+def pages_to_do() -> list[str]:
+    """Return the names of the pages that say how something is done."""
+    parts = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("  - Do:\n")[2]
+    return re.findall(r"[\w]+\.md", parts.partition("  - Know:\n")[0])
+
+
+@pytest.mark.parametrize("name", pages_to_do())
+def test_a_page_to_do_says_for_whom_shows_its_result_and_a_way_out(name: str) -> None:
+    text = (ROOT / "docs" / name).read_text(encoding="utf-8")
+    first = text.split("\n\n")[1]
+    assert first.startswith(("You need this page if", "For "))
+    assert re.search(r"^```(console|bash)\n", text, re.MULTILINE)
+    assert "](images/" in text or "```text\n" in text
+    assert "\n## If it fails\n" in text
 
 
 def test_the_rules_find_what_they_name() -> None:
