@@ -1,39 +1,13 @@
 """Why a shot of a street has its label.
 
-The rules of the fused classifier, in the order in which they decide.
+Two lists decide, and in both the first rule that applies: :func:`_label_noise_and_ground`, then
+:func:`_label_things` for the shots that the first one leaves open. A rule gives a shot its reason
+and with it its label; ``prc explain`` prints both. design/fused.md has the same rules in the same
+order.
 
-The first rule that applies gives the label. ``prc explain`` prints its name.
-
-====  =================  ==========  ==============================================================
-step  rule               label       reason
-====  =================  ==========  ==============================================================
-1     MISSING            missing     there is no return
-1     LONELY             noise       nothing is near it, although the scanner is
-2     ISOLATED           noise       few shots are near it; it is neither a leaf nor on a surface
-2     SPIKE              noise       it is rough amid a smooth surface
-2     BELOW_GROUND       noise       it is rough and far below the ground, and no side of a pit
-1, 2  WALKED             ground      the walk along the ground went over it
-1, 2  LEVEL_LOW          ground      it is low, and more level than upright
-1, 2  LOW                ground      it is very low, and not upright
-3     BEHIND_WALL        noise       it is far behind a wall, with few shots near: a reflection
-3     IN_CAR             noise       it is in a car, with few shots near and no smooth pair
-4     CROWN              vegetation  it is on something upright below a crown, and on no mast
-4     TRUNK              vegetation  it is on something upright that is as thick as a trunk
-4     POST               pole        it is on something upright and thin
-4     ARM                pole        it is on something thin or short, high above the ground
-5     SMALL              pole        it is on something small that stands free
-5     SMOOTH             building    it is on a fence
-5     LEVEL_BODY         car         it is low, with level surfaces around
-5     FOLIAGE            vegetation  few pairs around are smooth, no wall is there: a hedge, a tree
-5     LEAF               vegetation  few shots are near it, but other leaves are
-5     FACADE             building    few pairs around are smooth, but it is in a wall
-5     SMOOTH             building    everything else: something smooth above the ground
-6     BOX                pole        it is on a bin or a cabinet, whatever it was so far
-====  =================  ==========  ==============================================================
-
-Steps are passes over a line. Steps 1, 3 and 5 read every shot; they have no loops inside and no
-branches but the choice of a rule, so that the compiler uses vector instructions. Steps 2, 4 and 6
-look around the few shots that need it.
+Loops over all shots have no loops inside and no branches but the choice of a rule, so that the
+compiler uses vector instructions. What takes a look around a shot is found before, for the few
+shots that need it, and is evidence in the lists (:class:`Around`).
 """
 
 from __future__ import annotations
@@ -41,9 +15,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.classes import LABELS_BY_REASON, Label, Reason
+from prc_cli.core.classes import Reason
 from prc_cli.core.loops import helper, inlined, loop
-from prc_cli.core.types import F32, F32_2, I32, U8, U8_2, U64, Mask_2
+from prc_cli.core.types import F32, F32_2, I32, U8, U8_2, U64, Mask, Mask_2
 from prc_cli.methods.fused.records import (
     FENCE,
     FEW_SHOTS,
@@ -56,6 +30,7 @@ from prc_cli.methods.fused.records import (
     STRIP_M,
     STRIPS,
     THIN,
+    Around,
     Beams,
     Beside,
     CarTops,
@@ -64,7 +39,6 @@ from prc_cli.methods.fused.records import (
     Neighbours,
     Place,
     Shot,
-    Surroundings,
     Walls,
 )
 from prc_cli.methods.fused.strips_loops import count_bits
@@ -110,15 +84,6 @@ GAP_SHOTS = 3
 
 # What a shot is until a rule applies; no reason is one of these numbers
 _OPEN = np.uint8(255)
-_OPEN_LEAF = np.uint8(254)
-"""A leaf among others, with few shots near it."""
-_DOUBTFUL = np.uint8(253)
-"""It may be noise: step 2 looks around it."""
-_NOT_GROUND = np.uint8(0)
-_NO_RETURN = np.uint8(Label.MISSING)
-_NOISE = np.uint8(Label.NOISE)
-_GROUND = np.uint8(Label.GROUND)
-_MARKED = np.uint8(1)
 
 _MISSING = np.uint8(Reason.MISSING)
 _LONELY = np.uint8(Reason.LONELY)
@@ -143,146 +108,119 @@ _SMOOTH = np.uint8(Reason.SMOOTH)
 _BOX = np.uint8(Reason.BOX)
 
 
-# Step 1: noise and ground, as far as the shot alone tells
+# The first list: noise and ground
 
 
 @helper
-def _label_clear_shots(line: Line, limits: DecisionThresholds, labels: U8) -> None:
-    for i in range(len(labels)):
-        shot = _shot(line, i)
-        is_few = np.float32(shot.near) < limits.least_near
-        is_below = (shot.smooth < BELOW_SMOOTH) & (not (shot.above_m >= -limits.below_m))
-        ground = _ground_rule(shot, limits)
-        if shot.range_m != shot.range_m:
-            rule = _MISSING
-        elif is_few & (shot.near == 0) & (shot.range_m <= limits.lone_m):
-            rule = _LONELY
-        elif is_few | (shot.smooth == 0) | is_below:
-            rule = _DOUBTFUL
-        elif ground != _NOT_GROUND:
-            rule = ground
-        else:
-            rule = _OPEN
-        labels[i] = rule
-
-
-@inlined
-def _ground_rule(shot: Shot, limits: DecisionThresholds) -> np.uint8:
-    off_m = abs(shot.above_m)
-    if shot.is_walked & (off_m < limits.walked_m):
-        return _WALKED
-    if (shot.level > shot.upright) & (off_m < limits.level_m):
-        return _LEVEL_LOW
-    if (shot.upright <= shot.level + np.uint8(1)) & (off_m < limits.soil_m):
-        return _LOW
-    return _NOT_GROUND
-
-
-# Step 2: noise and ground among the doubtful shots
-
-
-@helper
-def _label_doubtful_shots(
-    shots: I32,
-    line: Line,
-    beside: Beside,
-    rough_slots: U64,
-    half_widths: I32,
-    count_sums: Counts,
-    limits: DecisionThresholds,
-    labels: U8,
+def _label_noise_and_ground(
+    line: Line, beside: Beside, limits: DecisionThresholds, around: Around, labels: U8
 ) -> None:
-    for k in range(len(shots)):
-        i = shots[k]
-        if labels[i] != _DOUBTFUL:
-            continue
-        shot = _shot(line, i)
-        place = _place(beside, i)
-        slots = rough_slots[min(place.bin >> 1, STRIPS - 1)]
-        first = max(i - int(half_widths[i]), 0)
-        end = min(i + int(half_widths[i]) + 1, len(labels))
-
-        is_few = np.float32(shot.near) < limits.least_near
-        is_leaf = is_few and _is_among_leaves(shot, place, slots, limits)
-        is_pit = shot.upright > 0 and np.float32(shot.near) >= limits.pit_near
-        is_below = shot.above_m < -limits.below_m and shot.smooth < BELOW_SMOOTH
-        ground = _ground_rule(shot, limits)
-        if is_few and not is_leaf and not (shot.near > 0 and _is_on_surface(shot, place, limits)):
-            rule = _ISOLATED
-        elif shot.smooth == 0 and _is_smooth(count_sums[end] - count_sums[first], limits):
-            rule = _SPIKE
-        elif is_below and not is_pit:
-            rule = _BELOW_GROUND
-        elif ground != _NOT_GROUND:
-            rule = ground
-        elif is_leaf:
-            rule = _OPEN_LEAF
-        else:
-            rule = _OPEN
-        labels[i] = rule
-
-
-@inlined
-def _is_among_leaves(
-    shot: Shot, place: Place, rough_slots: np.uint64, limits: DecisionThresholds
-) -> bool:
-    """Whether leaves are around: far away, gaps between them are wider than what counts as near."""
-    if place.bin == BEYOND or not shot.above_m > limits.foot_m or _is_in_wall(shot, place, limits):
-        return False
-    return bool(np.float32(_slots_around(rough_slots, _slot(shot.above_m))) >= limits.leaf_slots)
-
-
-@inlined
-def _is_on_surface(shot: Shot, place: Place, limits: DecisionThresholds) -> bool:
-    """Whether a shot is on a surface: the few shots left of a far one still agree with it."""
-    is_on_ground = abs(shot.above_m) < limits.soil_m
-    return bool((shot.smooth > 0) | is_on_ground | _is_in_wall(shot, place, limits))
-
-
-@inlined
-def _is_smooth(counts_around: np.uint32, limits: DecisionThresholds) -> bool:
-    """Whether the shots around are smooth, in the line and in the lines before and after."""
-    n_shots = np.int32(counts_around >> np.uint32(16))
-    n_pairs = np.int32(counts_around & np.uint32(0xFFFF))
-    return bool(np.float32(n_pairs) > limits.spike_share * np.float32(MOST_SMOOTH * n_shots))
-
-
-# Step 3: what is around a shot, reflections, and what may be upright and thin
-
-
-@helper
-def _label_reflections(
-    line: Line,
-    beside: Beside,
-    limits: DecisionThresholds,
-    around: Surroundings,
-    labels: U8,
-    may_be_upright: U8,
-) -> None:
-    """Write the surroundings of every shot, label reflections, and mark shots for step 4."""
+    """Label noise and ground, and say of the shots that are left what is around them."""
     for i in range(len(labels)):
         shot = _shot(line, i)
         place = _place(beside, i)
+
+        # the evidence
+        n_near = np.float32(shot.near)
+        has_few_near = n_near < limits.least_near
+        has_none_near = has_few_near & (shot.near == 0)
+        has_smooth_pair = shot.smooth > 0
+        off_m = abs(shot.above_m)
+        is_level = shot.level > shot.upright
+        is_upright = shot.upright > shot.level + np.uint8(1)
+        is_soil = off_m < limits.soil_m
+        is_far_below = (shot.above_m < -limits.below_m) & (shot.smooth < BELOW_SMOOTH)
+        is_side_of_pit = (shot.upright > 0) & (n_near >= limits.pit_near)
+        is_in_wall = _is_in_wall(shot, place, limits)
+        is_on_surface = (shot.near > 0) & (has_smooth_pair | is_soil | is_in_wall)
         is_rough = shot.texture < _leaf_share(shot, place, limits)
-        is_foliage = is_rough & (not _is_of_wall(shot, place, limits))
+        is_foliage = is_rough & (not (is_in_wall | _is_on_facade(shot, place, limits)))
         is_in_car = _is_in_car(shot, place, is_foliage)
+        is_behind_wall = _is_far_behind_wall(shot, place, is_foliage, limits)
+
+        # the decision
+        if shot.range_m != shot.range_m:
+            rule = _MISSING  # missing: there is no return
+        elif has_none_near & (shot.range_m <= limits.lone_m):
+            rule = _LONELY  # noise: nothing is near it, although the scanner is
+        elif has_few_near & (not around.is_leaf[i]) & (not is_on_surface):
+            rule = _ISOLATED  # noise: few shots are near it, and no leaves or surface
+        elif (not has_smooth_pair) & around.is_amid_smooth[i]:
+            rule = _SPIKE  # noise: it is rough amid a smooth surface
+        elif is_far_below & (not is_side_of_pit):
+            rule = _BELOW_GROUND  # noise: a mirror image below the ground
+        elif shot.is_walked & (off_m < limits.walked_m):
+            rule = _WALKED  # ground: the walk along the ground went over it
+        elif is_level & (off_m < limits.level_m):
+            rule = _LEVEL_LOW  # ground: it is low, and more level than upright
+        elif is_soil & (not is_upright):
+            rule = _LOW  # ground: it is very low, and not upright
+        elif is_behind_wall & (n_near < limits.ghost_near):
+            rule = _BEHIND_WALL  # noise: a reflection in a pane
+        elif is_in_car & has_few_near & (not has_smooth_pair):
+            rule = _IN_CAR  # noise: a reflection in the window of a car
+        else:
+            rule = _OPEN
+        labels[i] = rule
+
+        is_open = rule == _OPEN
         around.is_rough[i] = is_rough
         around.is_foliage[i] = is_foliage
         around.is_in_car[i] = is_in_car
+        is_part = is_in_wall | (is_in_car & (shot.kind != THIN))
+        around.is_upright[i] = is_open & _may_be_upright(shot, place, is_part, limits)
 
-        n_near = np.float32(shot.near)
-        is_open = labels[i] >= _OPEN_LEAF
-        is_far = _is_far_behind_wall(shot, place, is_foliage, limits)
-        is_lost = is_in_car & (shot.smooth == 0) & (n_near < limits.least_near)
-        if is_open & is_far & (n_near < limits.ghost_near):
-            rule = _BEHIND_WALL
-        elif is_open & is_lost:
-            rule = _IN_CAR
-        else:
+
+# The second list: things above the ground
+
+
+@helper
+def _label_things(
+    line: Line, bins: I32, limits: DecisionThresholds, around: Around, labels: U8
+) -> None:
+    """Label the shots that the first list leaves open."""
+    for i in range(len(labels)):
+        # the evidence
+        kind = line.kind[i] if bins[i] < BEYOND else np.uint8(0)
+        is_upright = around.is_upright[i]
+        is_tree = is_upright & (kind != MAST)
+        is_enough = is_upright & (kind != FEW_SHOTS)
+        is_post = (line.level[i] == 0) | (kind == POST) | (kind == MAST)
+        is_in_car = around.is_in_car[i]
+        # foliage may be small and free, too
+        is_small = (kind >= SMALL) & (is_in_car | (line.texture[i] >= limits.leaf_share))
+
+        # the decision
+        if labels[i] != _OPEN:
             rule = labels[i]
+        elif around.is_box[i]:
+            rule = _BOX  # pole: it is on a bin or a cabinet
+        elif is_tree & around.is_below_crown[i]:
+            rule = _CROWN  # vegetation: a trunk below its crown
+        elif is_tree & is_enough & around.is_thick[i]:
+            rule = _TRUNK  # vegetation: as thick as a trunk
+        elif is_enough & is_post:
+            rule = _POST  # pole: upright and thin
+        elif is_enough:
+            rule = _ARM  # pole: thin or short, high above the ground
+        elif is_small & (kind == FENCE):
+            rule = _SMOOTH  # building: a fence
+        elif is_small:
+            rule = _SMALL  # unclassified: small, and it stands free
+        elif is_in_car:
+            rule = _LEVEL_BODY  # car: low, with level surfaces around
+        elif around.is_foliage[i]:
+            rule = _FOLIAGE  # vegetation: few pairs around are smooth, and no wall is there
+        elif around.is_leaf[i]:
+            rule = _LEAF  # vegetation: few shots are near it, but other leaves are
+        elif around.is_rough[i]:
+            rule = _FACADE  # building: few pairs around are smooth, but a wall is there
+        else:
+            rule = _SMOOTH  # building: something smooth above the ground
         labels[i] = rule
-        is_open = rule >= _OPEN_LEAF
-        may_be_upright[i] = np.uint8(is_open & _may_be_upright(shot, place, is_in_car, limits))
+
+
+# Evidence of a shot and its place
 
 
 @inlined
@@ -296,12 +234,11 @@ def _leaf_share(shot: Shot, place: Place, limits: DecisionThresholds) -> np.floa
 
 
 @inlined
-def _is_of_wall(shot: Shot, place: Place, limits: DecisionThresholds) -> bool:
-    """Whether a rough shot is in a wall, behind its panes, or on a facade, at any height."""
+def _is_on_facade(shot: Shot, place: Place, limits: DecisionThresholds) -> bool:
+    """Whether a shot is on a facade, or behind its panes, at any height."""
     is_near = _is_on_house(shot, place, limits.behind_m, limits)
     is_house = _is_on_house(shot, place, limits.roof_m, limits)
-    is_on_facade = is_near & is_house & (place.wall_top_m > np.float32(0.0))
-    return bool(_is_in_wall(shot, place, limits) | is_on_facade)
+    return bool(is_near & is_house & (place.wall_top_m > np.float32(0.0)))
 
 
 @inlined
@@ -351,55 +288,267 @@ def _is_far_behind_wall(
 
 
 @inlined
-def _may_be_upright(shot: Shot, place: Place, is_in_car: bool, limits: DecisionThresholds) -> bool:
-    """Whether a shot is on a post, or on a smooth piece that is upright or high."""
+def _may_be_upright(shot: Shot, place: Place, is_part: bool, limits: DecisionThresholds) -> bool:
+    """Whether a shot is on a post, or on a smooth piece that is upright or high.
+
+    Pieces of walls and cars are part of these.
+    """
     is_piece = (shot.kind != np.uint8(0)) & (shot.kind < SMALL)
     is_up = (shot.level == 0) | (shot.above_m > limits.arm_m)
-    is_of_car = is_in_car & (shot.kind != THIN)
-    is_part = _is_in_wall(shot, place, limits) | is_of_car
     is_thin = is_piece & is_up & (shot.above_m > limits.foot_m) & (not is_part)
     is_thin &= shot.texture >= limits.leaf_share
     is_known = (place.bin < BEYOND) & (limits.pole_m > np.float32(0.0))
     return bool(is_known & (is_thin | (shot.kind == POST) | (shot.kind == MAST)))
 
 
-# Step 4: trunks, posts and arms
+# Evidence around a shot: leaves, and smooth places
 
 
 @helper
-def _label_uprights(
+def _mark_doubtful(line: Line, limits: DecisionThresholds, around: Around, marks: Mask) -> None:
+    """Mark all shots but missing ones, and those that the walk surely went over."""
+    for i in range(len(line.range_m)):
+        is_lone = np.float32(line.near[i]) < limits.least_near
+        is_known = (not is_lone) & (line.smooth[i] > 0)
+        is_known &= line.is_walked[i] & (abs(line.above_m[i]) < limits.walked_m)
+        is_missing = line.range_m[i] != line.range_m[i]
+        marks[i] = not (is_missing | is_known)
+        around.is_leaf[i] = False
+
+
+@helper
+def _look_for_leaves(
+    shots: I32,
+    line: Line,
+    beside: Beside,
+    rough_slots: U64,
+    half_widths: I32,
+    count_sums: Counts,
+    limits: DecisionThresholds,
+    around: Around,
+) -> None:
+    """Find leaves around the lonely ones of some shots, and smooth places around the rough ones.
+
+    Far away, gaps between leaves are wider than the distance that counts as near.
+    """
+    for k in range(len(shots)):
+        i = shots[k]
+        shot = _shot(line, i)
+        if np.float32(shot.near) < limits.least_near:
+            place = _place(beside, i)
+            if place.bin < BEYOND and shot.above_m > limits.foot_m:
+                n_slots = _slots_around(rough_slots[place.bin >> 1], _slot(shot.above_m))
+                is_free = not _is_in_wall(shot, place, limits)
+                around.is_leaf[i] = is_free and np.float32(n_slots) >= limits.leaf_slots
+        if line.smooth[i] == 0:
+            first = max(i - int(half_widths[i]), 0)
+            end = min(i + int(half_widths[i]) + 1, len(line.range_m))
+            counts = count_sums[end] - count_sums[first]
+            n_shots = np.int32(counts >> np.uint32(16))
+            n_pairs = np.float32(np.int32(counts & np.uint32(0xFFFF)))
+            most = limits.spike_share * np.float32(MOST_SMOOTH * n_shots)
+            around.is_amid_smooth[i] = n_pairs > most
+
+
+# Evidence around a shot: bins and cabinets
+
+
+@helper
+def _mark_tops(
+    line: Line, labels: U8, limits: DecisionThresholds, around: Around, marks: Mask
+) -> None:
+    """Mark the shots of a line that may be on the top of a box: low, smooth and level."""
+    for i in range(len(labels)):
+        is_low = (line.above_m[i] > limits.foot_m) & (line.above_m[i] < limits.box_m)
+        is_level = (line.level[i] > line.upright[i]) & (line.smooth[i] >= BOX_SMOOTH)
+        marks[i] = is_low & is_level & (labels[i] == _OPEN)
+        around.is_box[i] = False
+
+
+@helper
+def _look_for_boxes(
     shots: I32,
     window_m: F32,
     row: int,
     line: Line,
-    beside: Beside,
+    labels: U8,
+    limits: DecisionThresholds,
+    around: Around,
+) -> None:
+    """Find the boxes whose tops are in a list.
+
+    They stand alone: beyond their tops something far is seen, or nothing, and what is below them is
+    ground.
+    """
+    done = -1
+    for k in range(len(shots)):
+        i = shots[k]
+        if i <= done:
+            continue
+        first, before = _end_of_box(line, labels, i, -1, limits)
+        last, after = _end_of_box(line, labels, i, 1, limits)
+        done = last
+        if before == first or after == last:
+            continue
+        if line.height_m[last] > line.height_m[first]:
+            top = last
+            beyond = after
+            foot = first
+            below = before
+        else:
+            top = first
+            beyond = before
+            foot = last
+            below = after
+        if beyond >= 0 and line.range_m[beyond] <= line.range_m[top] + limits.far_m:
+            continue
+        is_covered = below >= 0 and line.range_m[below] < line.range_m[foot]
+        if is_covered and not _is_ground(labels[below]):
+            continue
+        is_box = _has_size_of_box(line, first, last, labels, limits)
+        if is_box and _is_seen_by_few_lines(window_m, row, i, limits):
+            for j in range(first, last + 1):
+                around.is_box[j] = labels[j] == _OPEN
+
+
+@helper
+def _end_of_box(
+    line: Line, labels: U8, i: int, way: int, limits: DecisionThresholds
+) -> tuple[int, int]:
+    """Follow a box along its line to one side.
+
+    Return its last shot, and the next one, -1 = none close by.
+
+    The next one is the last itself where it is no box: too high, or cut off by the end of the line.
+    """
+    last = i
+    j = i + way
+    gap = 0
+    while 0 <= j < len(labels):
+        is_noise = labels[j] != _OPEN and not _is_ground(labels[j])
+        if is_noise or np.float32(line.near[j]) < limits.least_near:
+            gap += 1
+            if gap > GAP_SHOTS:
+                return last, -1
+        elif _is_ground(labels[j]) or not abs(line.range_m[j] - line.range_m[last]) < limits.jump_m:
+            return last, j
+        elif line.above_m[j] >= limits.box_m:
+            return last, last
+        else:
+            last = j
+            gap = 0
+        j += way
+    return last, last
+
+
+@helper
+def _has_size_of_box(
+    line: Line, first: int, last: int, labels: U8, limits: DecisionThresholds
+) -> bool:
+    """Return whether a run of shots is smooth, as deep as a box, and has a level top."""
+    high_m = -np.float32(np.inf)
+    near_m = np.float32(np.inf)
+    far_m = -np.float32(np.inf)
+    n = 0
+    n_smooth = 0
+    for j in range(first, last + 1):
+        if labels[j] == _OPEN:
+            high_m = max(high_m, line.above_m[j])
+            near_m = min(near_m, abs(line.side_m[j]))
+            far_m = max(far_m, abs(line.side_m[j]))
+            n += 1
+            n_smooth += line.smooth[j] >= BOX_SMOOTH
+    deep_m = far_m - near_m
+    if (
+        np.float32(n) < limits.pole_shots
+        or deep_m > limits.box_deep_m
+        or deep_m < limits.box_flat_m
+    ):
+        return False
+    near_top_m = np.float32(np.inf)
+    far_top_m = -np.float32(np.inf)
+    for j in range(first, last + 1):
+        if labels[j] == _OPEN and line.above_m[j] > high_m - BOX_EVEN_M:
+            near_top_m = min(near_top_m, abs(line.side_m[j]))
+            far_top_m = max(far_top_m, abs(line.side_m[j]))
+    if far_top_m - near_top_m < limits.box_flat_m:
+        return False
+    return bool(np.float32(n_smooth) >= BOX_SHARE * np.float32(n))
+
+
+@inlined
+def _is_seen_by_few_lines(window_m: F32, row: int, i: int, limits: DecisionThresholds) -> bool:
+    before = _lines_beside(window_m, row, i, -1, limits)
+    if before == MARGIN or np.float32(before) > limits.box_lines:
+        return False
+    after = _lines_beside(window_m, row, i, 1, limits)
+    return bool(after < MARGIN and np.float32(before + after) <= limits.box_lines)
+
+
+@inlined
+def _lines_beside(window_m: F32, row: int, i: int, way: int, limits: DecisionThresholds) -> int:
+    """Return how many lines to one side see a box in the direction of a shot.
+
+    MARGIN if none sees past it.
+
+    Single lines that see past it do not count: they see background light, or look through a pane.
+    """
+    last_m = window_m[row, i]
+    n_lines = 0
+    n_off = 0
+    n_past = 0
+    for k in range(1, MARGIN + 1):
+        range_m = window_m[row + way * k, i]
+        if abs(range_m - last_m) < limits.jump_m:
+            last_m = range_m
+            n_lines = k
+            n_off = 0
+            n_past = 0
+            continue
+        n_off += 1
+        n_past += not (range_m <= last_m + limits.far_m)
+        if n_off == BOX_ODD:
+            return n_lines if n_past >= BOX_ODD - 1 else MARGIN
+    return MARGIN
+
+
+@inlined
+def _is_ground(rule: np.uint8) -> bool:
+    return bool((rule == _WALKED) | (rule == _LEVEL_LOW) | (rule == _LOW))
+
+
+# Evidence around a shot: trunks, posts and arms
+
+
+@helper
+def _look_at_uprights(
+    shots: I32,
+    window_m: F32,
+    row: int,
+    line: Line,
+    bins: I32,
     rough_slots: U64,
     limits: DecisionThresholds,
-    labels: U8,
+    around: Around,
 ) -> None:
-    """Label a list of shots on free-standing things; ``row`` is that of the line in the window."""
+    """Find crowns above some shots, and how thick the thing is that they are on.
+
+    ``row`` is that of the line in the window.
+    """
     range_m, side_m, height_m, above_m = line.range_m, line.side_m, line.height_m, line.above_m
-    kind, level = line.kind, line.level
+    kind = line.kind
     end = 0
     is_round = False
     for k in range(len(shots)):
         i = shots[k]
         if i >= end:
             end, is_round = _round_run(range_m, side_m, height_m, kind, i, limits)
-        above_slots = rough_slots[beside.bin[i] >> 1] >> np.uint64(_slot(above_m[i]))
-        if kind[i] == MAST:
-            rule = _POST
-        elif np.float32(count_bits(above_slots)) >= limits.crown_slots:
-            rule = _CROWN
-        elif kind[i] == FEW_SHOTS:
-            rule = labels[i]  # too few shots to tell a post: step 5
-        elif is_round or _depth_m(window_m, row, i, side_m[i], limits) >= limits.thick_m:
-            rule = _TRUNK
-        elif (level[i] == 0) | (kind[i] == POST):
-            rule = _POST
-        else:
-            rule = _ARM
-        labels[i] = rule
+        above_slots = rough_slots[bins[i] >> 1] >> np.uint64(_slot(above_m[i]))
+        is_below_crown = np.float32(count_bits(above_slots)) >= limits.crown_slots
+        around.is_below_crown[i] = is_below_crown
+        around.is_thick[i] = not is_below_crown and (
+            is_round or _depth_m(window_m, row, i, side_m[i], limits) >= limits.thick_m
+        )
 
 
 @helper
@@ -454,213 +603,7 @@ def _depth_m(
     return np.float32((most_m - least_m) * (abs(side_m) / window_m[row, i]))
 
 
-# Step 5: everything else above the ground
-
-
-@helper
-def _label_surfaces(
-    line: Line,
-    beside: Beside,
-    around: Surroundings,
-    limits: DecisionThresholds,
-    labels: U8,
-) -> None:
-    for i in range(len(labels)):
-        kind = line.kind[i] if beside.bin[i] < BEYOND else np.uint8(0)
-        is_rough = around.is_rough[i]
-        is_foliage = around.is_foliage[i]
-        is_in_car = around.is_in_car[i]
-        # foliage may stand free as well
-        is_small = (kind >= SMALL) & (is_in_car | (line.texture[i] >= limits.leaf_share))
-        if labels[i] < _OPEN_LEAF:
-            rule = labels[i]
-        elif is_small & (kind == FENCE):
-            rule = _SMOOTH
-        elif is_small:
-            rule = _SMALL
-        elif is_in_car:
-            rule = _LEVEL_BODY
-        elif is_foliage:
-            rule = _FOLIAGE
-        elif labels[i] == _OPEN_LEAF:
-            rule = _LEAF
-        elif is_rough:
-            rule = _FACADE
-        else:
-            rule = _SMOOTH
-        labels[i] = rule
-
-
-# Step 6: bins and cabinets
-
-
-@helper
-def _mark_tops(line: Line, labels: U8, limits: DecisionThresholds, marks: U8) -> None:
-    """Mark the shots of a line that may be on the top of a box: low, smooth and level."""
-    for i in range(len(labels)):
-        is_low = (line.above_m[i] > limits.foot_m) & (line.above_m[i] < limits.box_m)
-        is_level = (line.level[i] > line.upright[i]) & (line.smooth[i] >= BOX_SMOOTH)
-        marks[i] = np.uint8(is_low & is_level & _is_above_ground(labels[i]))
-
-
-@helper
-def _label_boxes(
-    shots: I32,
-    window_m: F32,
-    row: int,
-    line: Line,
-    limits: DecisionThresholds,
-    labels: U8,
-) -> None:
-    """Label the boxes whose tops are in a list.
-
-    They stand alone: beyond their tops something far is seen, or nothing, and what is below them is
-    ground.
-    """
-    done = -1
-    for k in range(len(shots)):
-        i = shots[k]
-        if i <= done:
-            continue
-        first, before = _end_of_box(line, labels, i, -1, limits)
-        last, after = _end_of_box(line, labels, i, 1, limits)
-        done = last
-        if before == first or after == last:
-            continue
-        if line.height_m[last] > line.height_m[first]:
-            top = last
-            beyond = after
-            foot = first
-            below = before
-        else:
-            top = first
-            beyond = before
-            foot = last
-            below = after
-        if beyond >= 0 and line.range_m[beyond] <= line.range_m[top] + limits.far_m:
-            continue
-        is_covered = below >= 0 and line.range_m[below] < line.range_m[foot]
-        if is_covered and not _is_ground(labels[below]):
-            continue
-        is_box = _has_size_of_box(line, first, last, labels, limits)
-        if is_box and _is_seen_by_few_lines(window_m, row, i, limits):
-            for j in range(first, last + 1):
-                labels[j] = _BOX if _is_above_ground(labels[j]) else labels[j]
-
-
-@helper
-def _end_of_box(
-    line: Line, labels: U8, i: int, way: int, limits: DecisionThresholds
-) -> tuple[int, int]:
-    """Follow a box along its line to one side.
-
-    Return its last shot, and the next one, -1 = none close by.
-
-    The next one is the last itself where it is no box: too high, or cut off by the end of the line.
-    """
-    last = i
-    j = i + way
-    gap = 0
-    while 0 <= j < len(labels):
-        is_noise = not _is_above_ground(labels[j]) and not _is_ground(labels[j])
-        if is_noise or np.float32(line.near[j]) < limits.least_near:
-            gap += 1
-            if gap > GAP_SHOTS:
-                return last, -1
-        elif _is_ground(labels[j]) or not abs(line.range_m[j] - line.range_m[last]) < limits.jump_m:
-            return last, j
-        elif line.above_m[j] >= limits.box_m:
-            return last, last
-        else:
-            last = j
-            gap = 0
-        j += way
-    return last, last
-
-
-@helper
-def _has_size_of_box(
-    line: Line, first: int, last: int, labels: U8, limits: DecisionThresholds
-) -> bool:
-    """Return whether a run of shots is smooth, as deep as a box, and has a level top."""
-    high_m = -np.float32(np.inf)
-    near_m = np.float32(np.inf)
-    far_m = -np.float32(np.inf)
-    n = 0
-    n_smooth = 0
-    for j in range(first, last + 1):
-        if _is_above_ground(labels[j]):
-            high_m = max(high_m, line.above_m[j])
-            near_m = min(near_m, abs(line.side_m[j]))
-            far_m = max(far_m, abs(line.side_m[j]))
-            n += 1
-            n_smooth += line.smooth[j] >= BOX_SMOOTH
-    deep_m = far_m - near_m
-    if (
-        np.float32(n) < limits.pole_shots
-        or deep_m > limits.box_deep_m
-        or deep_m < limits.box_flat_m
-    ):
-        return False
-    near_top_m = np.float32(np.inf)
-    far_top_m = -np.float32(np.inf)
-    for j in range(first, last + 1):
-        if _is_above_ground(labels[j]) and line.above_m[j] > high_m - BOX_EVEN_M:
-            near_top_m = min(near_top_m, abs(line.side_m[j]))
-            far_top_m = max(far_top_m, abs(line.side_m[j]))
-    if far_top_m - near_top_m < limits.box_flat_m:
-        return False
-    return bool(np.float32(n_smooth) >= BOX_SHARE * np.float32(n))
-
-
-@inlined
-def _is_seen_by_few_lines(window_m: F32, row: int, i: int, limits: DecisionThresholds) -> bool:
-    before = _lines_beside(window_m, row, i, -1, limits)
-    if before == MARGIN or np.float32(before) > limits.box_lines:
-        return False
-    after = _lines_beside(window_m, row, i, 1, limits)
-    return bool(after < MARGIN and np.float32(before + after) <= limits.box_lines)
-
-
-@inlined
-def _lines_beside(window_m: F32, row: int, i: int, way: int, limits: DecisionThresholds) -> int:
-    """Return how many lines to one side see a box in the direction of a shot.
-
-    MARGIN if none sees past it.
-
-    Single lines that see past it do not count: they see background light, or look through a pane.
-    """
-    last_m = window_m[row, i]
-    n_lines = 0
-    n_off = 0
-    n_past = 0
-    for k in range(1, MARGIN + 1):
-        range_m = window_m[row + way * k, i]
-        if abs(range_m - last_m) < limits.jump_m:
-            last_m = range_m
-            n_lines = k
-            n_off = 0
-            n_past = 0
-            continue
-        n_off += 1
-        n_past += not (range_m <= last_m + limits.far_m)
-        if n_off == BOX_ODD:
-            return n_lines if n_past >= BOX_ODD - 1 else MARGIN
-    return MARGIN
-
-
-@inlined
-def _is_above_ground(rule: np.uint8) -> bool:
-    label = LABELS_BY_REASON[rule]
-    return bool((label != _NO_RETURN) & (label != _NOISE) & (label != _GROUND))
-
-
-@inlined
-def _is_ground(rule: np.uint8) -> bool:
-    return bool(LABELS_BY_REASON[rule] == _GROUND)
-
-
-# What the steps read: shots, points, places, strips and cars
+# What the lists read: shots, points, places, strips and cars
 
 
 @inlined
@@ -824,12 +767,12 @@ def _find_cars(
 
 
 @helper
-def _list_marked(marks: U8, least: np.uint8, most: np.uint8, shots: I32) -> int:
-    """List the shots of a line with marks from one to another, return how many there are."""
+def _list_shots(marks: Mask, shots: I32) -> int:
+    """List the marked shots of a line, return how many there are."""
     n = 0
     for i in range(len(marks)):
         shots[n] = i
-        n += (marks[i] >= least) & (marks[i] <= most)
+        n += marks[i]
     return n
 
 
@@ -858,7 +801,6 @@ def fused_labels(
     near, smooth, upright, level = neighbours
     labels = np.empty((n_lines, m), np.uint8)
     shots = np.empty(m + 1, np.int32)
-    marks = np.empty(m, np.uint8)
     bin_counts = np.empty(2 * STRIPS, np.uint8)
     cars = CarTops(np.zeros(BEYOND + 1, np.float32), np.zeros(BEYOND + 1, np.float32))
     walls_of_line = Walls(
@@ -878,7 +820,19 @@ def fused_labels(
         np.zeros(m, np.float32),
         np.zeros(m, np.float32),
     )
-    around = Surroundings(np.empty(m, np.bool_), np.empty(m, np.bool_), np.empty(m, np.bool_))
+    marks = np.empty(m, np.bool_)
+    seen = np.zeros((9, m), np.bool_)
+    around = Around(
+        seen[0],
+        seen[1],
+        seen[2],
+        seen[3],
+        seen[4],
+        seen[5],
+        seen[6],
+        seen[7],
+        seen[8],
+    )
     # ring buffer of lines
     counts = np.empty((3, m), np.uint32)
     least = thresholds.least_near
@@ -904,18 +858,18 @@ def fused_labels(
             kinds[n],
         )
         _lay_out(range_m, beams, side_m, height_m)
-        _label_clear_shots(line, thresholds, rules)
+        _mark_doubtful(line, thresholds, around, marks)
+        n_shots = _list_shots(marks, shots)
 
-        _find_cars(slots.by_any[n], levels[n], bin_counts, thresholds, cars)
         _bins(side_m, beside.bin)
-        n_shots = _list_marked(rules, _DOUBTFUL, _OPEN, shots)
+        _find_cars(slots.by_any[n], levels[n], bin_counts, thresholds, cars)
         _copy_walls(walls, n, walls_of_line)
         _look_beside(shots[:n_shots], walls_of_line, cars, beside)
 
         write_pairs(near[k + 1], smooth[k + 1], least, counts[(n + 2) % 3])
         _sum_up_three(counts[0], counts[1], counts[2], count_sums)
         _half_widths(range_m, step_rad, half_widths)
-        _label_doubtful_shots(
+        _look_for_leaves(
             shots[:n_shots],
             line,
             beside,
@@ -923,18 +877,17 @@ def fused_labels(
             half_widths,
             count_sums,
             thresholds,
-            rules,
+            around,
         )
 
-        _label_reflections(line, beside, thresholds, around, rules, marks)
-        n_shots = _list_marked(marks, _MARKED, _MARKED, shots)
-        _label_uprights(
-            shots[:n_shots], window_m, row, line, beside, rough_slots, thresholds, rules
+        _label_noise_and_ground(line, beside, thresholds, around, rules)
+
+        _mark_tops(line, rules, thresholds, around, marks)
+        n_shots = _list_shots(marks, shots)
+        _look_for_boxes(shots[:n_shots], window_m, row, line, rules, thresholds, around)
+        n_shots = _list_shots(around.is_upright, shots)
+        _look_at_uprights(
+            shots[:n_shots], window_m, row, line, beside.bin, rough_slots, thresholds, around
         )
-
-        _label_surfaces(line, beside, around, thresholds, rules)
-
-        _mark_tops(line, rules, thresholds, marks)
-        n_shots = _list_marked(marks, _MARKED, _MARKED, shots)
-        _label_boxes(shots[:n_shots], window_m, row, line, thresholds, rules)
+        _label_things(line, beside.bin, thresholds, around, rules)
     return labels

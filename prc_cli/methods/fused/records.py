@@ -217,15 +217,27 @@ class Place(NamedTuple):
     rough_car_top_m: np.float32
 
 
-class Surroundings(NamedTuple):
+class Around(NamedTuple):
     """What is around every shot of a line, (M,) bool each."""
 
+    is_leaf: Mask
+    """Lonely, with rough shots at enough heights around, and not in a wall."""
+    is_amid_smooth: Mask
+    """Everything around is smooth; known of shots without a smooth pair."""
     is_rough: Mask
     """Few pairs around are smooth: leaves, or the ornaments of a facade."""
     is_foliage: Mask
     """Rough, and neither in a wall nor seen through it: leaves."""
     is_in_car: Mask
     """Low, with level surfaces around that are wide enough for a car."""
+    is_upright: Mask
+    """It may be on a trunk, a post or an arm."""
+    is_box: Mask
+    """On a small box that is free on all sides."""
+    is_below_crown: Mask
+    """Upright, and rough shots are at enough heights above it."""
+    is_thick: Mask
+    """Upright, and as deep and round as a trunk."""
 
 
 class CarTops(NamedTuple):
