@@ -14,8 +14,6 @@ from prc_cli.simulation.settings import Kind, Simulation, load_settings, open_si
 
 FIELD_DEG = 125.12
 """Elevations that the static scanner covers [degrees]."""
-HEIGHT_M = 1.75
-"""Of the static scanner above the road [m]."""
 
 
 def static_scan(

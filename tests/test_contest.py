@@ -10,7 +10,6 @@ from benchmarks.contest_data import (
     TEST_STREETS,
     TRAIN,
     TRAIN_FOREST,
-    Scan,
     Simulated,
     simulated,
 )
@@ -19,12 +18,6 @@ from benchmarks.contest_methods import PAPERS, label_scan
 from benchmarks.contest_peers import Points, step
 
 pytestmark = pytest.mark.slow
-
-
-def scan_of(codes: list[list[int]], mapping: str = "street") -> Scan:
-    reference = np.array(codes, np.int64)
-    ranges = np.where(reference == 0, np.nan, 10.0).astype(np.float32)
-    return Scan("toy", ranges, np.linspace(-1.0, 1.0, ranges.shape[1]), reference, mapping)
 
 
 def test_seeds_for_tuning_are_never_reported() -> None:

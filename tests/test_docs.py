@@ -28,13 +28,6 @@ PAGES = sorted(
 )
 
 
-def is_written_by_hand(path: Path) -> bool:
-    generated = path.parent.name in ("figures", "design") or path.read_text(
-        encoding="utf-8"
-    ).startswith("<!-- written by")
-    return not generated and path.parent != ROOT
-
-
 def blocks(path: Path, language: str) -> list[str]:
     return re.findall(
         rf"^```{language}\n(.*?)^```", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from prc_cli.config import resolve
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ReadTally
 from prc_cli.formats.frame import FRAME_FIELDS, frame_fields
 from prc_cli.formats.options import Layout, LayoutField, decode, record_dtype
-from prc_cli.formats.ranges import choose_returns, clean_ranges, continues_run, mark_shots
+from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.raw_binary.read import RawBinarySource
 from prc_cli.formats.records import Source
 from prc_cli.formats.text.read import TextSource
@@ -139,48 +138,6 @@ def test_every_reason_is_counted_once() -> None:
     ranges, tally = clean_ranges(stored, min_range=1.0, max_range=100.0)
     np.testing.assert_array_equal(np.flatnonzero(~np.isnan(ranges)), [8, 9])
     assert tally == ReadTally(n_not_finite=2, n_not_positive=3, n_beyond=3)
-
-
-NAN = np.nan
-
-
-def shots(
-    time: list[float], number_of_returns: list[int], return_number: list[int] | None = None
-) -> list[int]:
-    """Return the shot of every record."""
-    continues = continues_run((np.array(time),), np.array(number_of_returns))
-    starts = mark_shots(continues, None if return_number is None else np.array(return_number))
-    return [int(i) for i in np.cumsum(starts)]
-
-
-def choose(
-    rule: Any,
-    range_m: list[float],
-    intensity: list[float] | None,
-    number: list[int] | None,
-) -> list[int]:
-    starts = np.array([True, False, False, True])
-    chosen = choose_returns(
-        starts,
-        np.array([*range_m, 9.0], np.float32),
-        None if intensity is None else np.array([*intensity, 0.0]),
-        None if number is None else np.array([*number, 1]),
-        rule,
-    )
-    assert chosen[3]
-    return [int(i) for i in np.flatnonzero(chosen[:3])]
-
-
-def forest() -> dict[str, NDArray[Any]]:
-    """Two lines of three shots: of 1, 3 and 2 returns, then of 2, 1, 1."""
-    return {
-        "range": np.array([5.0, 6, 7, 8, 9, 10, 11, 12, 13, 14]),
-        "scan_line": np.array([0, 0, 0, 0, 0, 0, 1, 1, 1, 1]),
-        "time": np.array([0.0, 1, 1, 1, 2, 2, 10, 10, 11, 12]),
-        "number_of_returns": np.array([1, 3, 3, 3, 2, 2, 2, 2, 1, 1], np.uint8),
-        "return_number": np.array([1, 1, 2, 3, 1, 2, 1, 2, 1, 1], np.uint8),
-        "intensity": np.array([9, 1, 8, 2, 5, 4, 3, 6, 9, 9], np.uint16),
-    }
 
 
 def _frame(n_fields: int) -> np.ndarray:

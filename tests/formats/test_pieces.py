@@ -13,10 +13,6 @@ from prc_cli.formats.input import Input
 from prc_cli.formats.records import Contents, watched_contents
 
 
-def lines_of(data: bytes) -> list[bytes]:
-    return data.splitlines(keepends=True)
-
-
 @pytest.fixture(scope="module")
 def chunks(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return 25 records in chunks of 10."""

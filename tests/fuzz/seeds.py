@@ -6,9 +6,11 @@ import gzip
 import io
 import json
 import struct
+import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import laspy
 import numpy as np
@@ -87,6 +89,13 @@ vegetation = ["3-5"]
 building = [6]
 noise = [7, 1]
 """
+
+
+def written(name: str, write: Callable[[Path], object]) -> bytes:
+    """Content of the file that a function writes."""
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder) / name)
+        return (Path(folder) / name).read_bytes()
 
 
 def ranges(seed: int = 1) -> np.ndarray:
@@ -222,16 +231,13 @@ def _parquet() -> bytes:
 
 
 def _e57() -> bytes:
-    import tempfile
-
     from tests.formats.organised_files import Scan, e57_fields, grid_points, write_e57
 
     fields = e57_fields(grid_points(N_LINES, M))
     scan = Scan(
         fields, rotation=(1.0, 0.0, 0.0, 0.0), bounds=(0, M - 1, 0, N_LINES - 1), limits=(0.0, 1.0)
     )
-    with tempfile.TemporaryDirectory() as folder:
-        return write_e57(Path(folder) / "a.e57", [scan]).read_bytes()
+    return written("a.e57", lambda path: write_e57(path, [scan]))
 
 
 def _ptx() -> bytes:
@@ -277,8 +283,6 @@ def _labels_csv() -> bytes:
 
 def _recorded(name: str) -> bytes:
     """A bag of every container: two scanners, and a topic that is not read."""
-    import tempfile
-
     from tests.formats.bags import recordings as made
     from tests.formats.bags.test_read import drive, messages
 
@@ -293,80 +297,67 @@ def _recorded(name: str) -> bytes:
         ]
     )
     clouds = messages(drive(60), dtype, every=20)
-    stem = name.partition(".")[0]
-    sent = (
-        clouds
-        if stem == "cloud"
-        else [*made.lasers(2), *made.lasers(2, "/left", "left", 2), *made.strings(2)]
-    )
-    if name.startswith("mixed"):
-        lists = [[[3.0, 5.0 + i], [], [7.0]] for i in range(12)]
+    stem, _, kind = name.partition(".")
+    packing = "" if stem in ("plain", "cloud") else stem
+    if kind == "bag":
+        lasers = [*made.lasers(1), *made.lasers(1, "/left", "left", 2), *made.strings(1)]
+        return written(name, lambda path: made.write_bag(path, lasers, packing, 3000))
+    sent = [*made.lasers(2), *made.lasers(2, "/left", "left", 2), *made.strings(2)]
+    if stem == "cloud":
+        sent = clouds
+    if stem == "mixed":
+        packing = "zstd"
+        sent = [*clouds, *_echoes()]
+    if kind == "db3":
+        return written(name, lambda path: made.write_db3(path, sent, packed=bool(packing)))
+    return written(name, lambda path: made.write_mcap(path, sent, packing or "none", 3000))
+
+
+def _echoes() -> list[Any]:
+    from tests.formats.bags import recordings as made
+
+    sent = []
+    for i in range(12):
+        lists = [[3.0, 5.0 + i], [], [7.0]]
+        message = made.echoes(made.STORES[2], made.START_NS + i, lists, lists)
         kind = "sensor_msgs/msg/MultiEchoLaserScan"
-        many = [
-            made.echoes(made.STORES[2], made.START_NS + i, echo_list, echo_list)
-            for i, echo_list in enumerate(lists)
-        ]
-        sent = [
-            *clouds,
-            *(
-                made.Sent("/echoes", kind, made.START_NS + i, echo_list)
-                for i, echo_list in enumerate(many)
-            ),
-        ]
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / name
-        if name.endswith(".mcap"):
-            packing = {"plain": "none", "mixed": "zstd"}.get(stem, stem)
-            return made.write_mcap(path, sent, packing, 3000).read_bytes()
-        if name.endswith(".db3"):
-            return made.write_db3(path, sent, packed=name.startswith("zstd")).read_bytes()
-        sent = [*made.lasers(1), *made.lasers(1, "/left", "left", 2), *made.strings(1)]
-        packing = name.partition(".")[0].replace("plain", "")
-        return made.write_bag(path, sent, packing, 3000).read_bytes()
+        sent.append(made.Sent("/echoes", kind, made.START_NS + i, message))
+    return sent
 
 
 def _captured(name: str) -> bytes:
     """A capture of a Velodyne, some of it in fragments, or of an Ouster."""
-    import tempfile
-
     from tests.formats.packets import captures as made
 
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / name
-        if name.startswith("ouster"):
-            return made.write_pcap(path, made.framed(made.ouster()[1], 7502)).read_bytes()
-        if name.startswith("hesai"):
-            models = ("40P", 0x37), ("OT128", 0x39), ("64", 0x39)
-            every = [made.hesai(model, 6, mode=mode)[0] for model, mode in models]
-            every.append(made.velodyne(9, 0xA1))
-            sources = [made.framed(packets, 2368 + i) for i, packets in enumerate(every)]
-            return made.write_pcap(
-                path, [frame for frames in sources for frame in frames]
-            ).read_bytes()
+    if name.startswith("ouster"):
+        frames = made.framed(made.ouster()[1], 7502)
+    elif name.startswith("hesai"):
+        packets = [
+            made.hesai("40P", 6, mode=0x37)[0],
+            made.hesai("OT128", 6, mode=0x39)[0],
+            made.hesai("64", 6, mode=0x39)[0],
+            made.velodyne(9, 0xA1),
+        ]
+        frames = [frame for i, sent in enumerate(packets) for frame in made.framed(sent, 2368 + i)]
+    else:
         frames = made.framed(made.vlp16(6))
         body = made.udp(made.vlp16(7)[6])
         for offset in (0, 600):
-            part = made.ip4(
-                body[offset : offset + 600 * (1 + offset)], offset=offset, more=not offset, number=9
-            )
-            frames.append((frames[-1][0] + 1e-3, made.ethernet(part)))
-        write = made.write_pcapng if name.endswith("ng") else made.write_pcap
-        return write(path, frames).read_bytes()
+            part = body[offset : offset + 600 * (1 + offset)]
+            fragment = made.ip4(part, offset=offset, more=not offset, number=9)
+            frames.append((frames[-1][0] + 1e-3, made.ethernet(fragment)))
+    write = made.write_pcapng if name.endswith("ng") else made.write_pcap
+    return written(name, lambda path: write(path, frames))
 
 
 def _poses(name: str) -> bytes:
     """The trajectory with orientations."""
-    import tempfile
-
     from tests.formats.bags import recordings as made
     from tests.formats.test_poses import odometry, poses, tum
 
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / name
-        rows = poses()
-        return (
-            tum(path, rows) if name.endswith("tum") else made.write_mcap(path, odometry(rows))
-        ).read_bytes()
+    if name.endswith("tum"):
+        return written(name, lambda path: tum(path, poses()))
+    return written(name, lambda path: made.write_mcap(path, odometry(poses())))
 
 
 def _metadata() -> bytes:
@@ -391,8 +382,6 @@ STATE_FILES = (".prc/journal.sqlite", ".prc/lock.json", ".prc/command.json")
 
 @cache
 def _pulse_folder() -> dict[str, bytes]:
-    import tempfile
-
     with tempfile.TemporaryDirectory() as folder:
         cloud_files.pulse_folder(Path(folder) / "p", 8, 24)
         return {path.name: path.read_bytes() for path in (Path(folder) / "p").iterdir()}
@@ -403,19 +392,13 @@ def _pulses(name: str) -> bytes:
 
 
 def _copc(point_format: int) -> bytes:
-    import tempfile
-
     from tests.formats.las.test_copc import make_copc
 
-    with tempfile.TemporaryDirectory() as folder:
-        make_copc(Path(folder) / "a.copc.laz", point_format, n=300)
-        return (Path(folder) / "a.copc.laz").read_bytes()
+    return written("a.copc.laz", lambda path: make_copc(path, point_format, n=300))
 
 
 def _record() -> bytes:
     """The record of labels that ``prc classify`` wrote."""
-    import tempfile
-
     from prc_cli.config import load_config
     from prc_cli.jobs.classify import classify
 
@@ -433,8 +416,6 @@ def _state() -> dict[str, bytes]:
 
     Whose run was killed; how it began.
     """
-    import tempfile
-
     from prc_cli.jobs.batch.journal import Journal
     from tests.jobs.batch.test_journal import done, failed, task
 
@@ -593,11 +574,6 @@ def write_seeds(folder: Path) -> None:
     for name in SEEDS:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(seed(name))
-
-
-def las_count_offset(data: bytes) -> tuple[int, str]:
-    """Where the number of records stands in a LAS file, and its struct code."""
-    return (247, "<Q") if data[25] == 4 else (107, "<I")
 
 
 def las_vlrs(data: bytes) -> list[int]:

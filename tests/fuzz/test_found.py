@@ -4,6 +4,7 @@ shows it."""
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import sqlite3
 import struct
@@ -219,3 +220,15 @@ def test_a_journal_with_numbers_without_end(
         code, printed = run(capfd, "batch", words[0], tmp_path, *words[1:])
         assert code in (0, 1), printed
         assert not code or folded(printed).count("\n") == 1
+
+
+@pytest.mark.parametrize("arguments", [["p\ud800"], [1e9], ["--quiet=1e9"], [[]]])
+def test_a_command_of_a_last_run_that_is_none(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], arguments: list[object]
+) -> None:
+    (tmp_path / ".prc").mkdir()
+    table = {"schema": 2, "folder": "/", "arguments": arguments}
+    put(tmp_path / ".prc" / "command.json", json.dumps(table)).chmod(0o600)
+    code, printed = run(capfd, "batch", "retry", tmp_path)
+    assert code == 2
+    assert "cannot be read: it contains the options of the last run" in printed

@@ -1,4 +1,4 @@
-"""Damaged files of every format through every command, in a watched worker.
+"""Damaged files of every format through every command, in watched processes.
 
 More examples: ``HYPOTHESIS_EXAMPLES=600 python -m pytest -m slow tests/fuzz/test_hostile.py``.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import os
 import struct
+import sys
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,12 +25,15 @@ from prc_cli.formats.labels import open_codes
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.registry import by_suffix
 from tests import patience
+from tests.fuzz.crafted import KEPT
 from tests.fuzz.damage import damaged
 from tests.fuzz.guard import unprintable
-from tests.fuzz.kept import KeptFile, attempt, kept_files
 from tests.fuzz.seeds import RECORDINGS, SEEDS, seed, write_seeds
-from tests.fuzz.targets import TARGETS, lay, sound_of, suffix_of_seed
-from tests.fuzz.watched import WatchedWorker
+from tests.fuzz.targets import DRAWN, TARGETS, URBAN, lay, suffix_of_seed
+
+pytest.importorskip("resource", reason="commands are limited by what only POSIX has")
+
+from tests.fuzz.server import DONE, Server
 
 pytestmark = pytest.mark.slow
 
@@ -38,57 +42,57 @@ EXAMPLES = int(os.environ.get("HYPOTHESIS_EXAMPLES", "6"))
 
 
 @pytest.fixture(scope="module")
-def worker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[WatchedWorker, Path]]:
-    pytest.importorskip("resource", reason="workers are limited by what only POSIX has")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Server, Path]]:
     folder = tmp_path_factory.mktemp("fuzz")
-    (folder / "seeds").mkdir()
     write_seeds(folder / "seeds")
-    watched = WatchedWorker(folder)
-    yield watched, folder
-    watched.close()
+    server = Server(folder)
+    yield server, folder
+    server.close()
 
 
 @pytest.mark.parametrize("name", TARGETS)
-@settings(
-    max_examples=EXAMPLES,
-    suppress_health_check=list(HealthCheck),
-)
+@settings(max_examples=EXAMPLES, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_damaged_files_are_refused_or_read(
-    worker: tuple[WatchedWorker, Path], name: str, data: st.DataObject
+    server: tuple[Server, Path], name: str, data: st.DataObject
 ) -> None:
-    watched, folder = worker
     target = TARGETS[name]
-    chosen = data.draw(st.sampled_from(target.seeds))
+    chosen = data.draw(st.sampled_from(target.names))
     command = data.draw(st.sampled_from(target.commands))
     content = data.draw(damaged(seed(chosen), suffix_of_seed(chosen)))
-    case = lay(folder, target, chosen, content)
-    answer = watched.run(command, case, str(sound_of(folder / "seeds", target, chosen)))
-    assert not answer["faults"]
+    case = lay(server[1], target, chosen, content)
+    assert not server[0].run(command, case)["faults"]
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_the_first_command_takes_the_seed(worker: tuple[WatchedWorker, Path], name: str) -> None:
+def test_the_first_command_takes_the_seed(server: tuple[Server, Path], name: str) -> None:
     """Else every case would be refused for a reason that is not its damage."""
-    from tests.fuzz.worker import DONE  # of POSIX alone, as the worker
-
-    watched, folder = worker
-    chosen = TARGETS[name].seeds[0]
-    case = lay(folder, TARGETS[name], chosen, seed(chosen), "sound")
-    sound = str(sound_of(folder / "seeds", TARGETS[name], chosen))
-    answers = [watched.run(command, case, sound) for command in TARGETS[name].commands[:6]]
-    assert answers[0]["code"] in DONE, (TARGETS[name].commands[0], answers[0]["said"])
+    target = TARGETS[name]
+    case = lay(server[1], target, target.names[0], seed(target.names[0]))
+    answers = [server[0].run(command, case) for command in target.commands[:6]]
+    assert answers[0]["code"] in DONE, answers[0]["printed"]
     assert not [answer["faults"] for answer in answers if answer["faults"]]
 
 
-@pytest.mark.parametrize("kept", [pytest.param(kept, id=kept.stem) for kept in kept_files()])
+@pytest.mark.parametrize(
+    ("name", "command", "code"),
+    [
+        ("endless.db3", "info {case} --deep", 0),
+        ("huge_page.parquet", "evaluate {case} {case} --dimension range", 1),
+        ("wide.las", f"classify {{case}} {{out}}/o.las {URBAN} --set output.segment_ids=true", 0),
+        ("overflow.npy", f"render {{case}} {{out}}/o.png {DRAWN}", 0),
+        ("overflow.ply", "convert {case} {out}/o.npz --trust-order", 0),
+        ("cast.ply", "convert {case} {out}/o.npz --trust-order", 0),
+        ("cast.bin", f"classify {{case}} {{out}}/o.npy {URBAN}", 1),
+        ("overflowing.laz", "convert {case} {out}/o.las", None),
+    ],
+)
 def test_a_file_that_showed_a_fault_is_refused_or_read(
-    worker: tuple[WatchedWorker, Path], kept: KeptFile
+    server: tuple[Server, Path], name: str, command: str, code: int | None
 ) -> None:
-    watched, folder = worker
-    answer = attempt(watched, folder, kept)
+    answer = server[0].run(command, KEPT / name)
     assert not answer["faults"]
-    assert kept.code is None or answer["code"] == kept.code
+    assert code is None or answer["code"] == code, answer["printed"]
 
 
 ATTACKS = (
@@ -106,25 +110,25 @@ ATTACKS = (
 @pytest.mark.parametrize("text", ATTACKS)
 def test_the_guard_sees(tmp_path: Path, text: str) -> None:
     """In a process of its own: a hook can never be removed."""
-    import sys
-
-    program = (
-        "import sys, pathlib\nfrom tests.fuzz.guard import Guard\n"
-        "import os, socket, subprocess, pickle, collections\nEVIL = "
-        "pickle.dumps(collections.Counter)\n"
-        f"guard = Guard((pathlib.Path({str(tmp_path)!r}),))\n"
-        "def attack():\n    try:\n        " + text + "\n    except OSError:\n        pass\n"
-        "with guard.armed() as seen:\n    open(guard._folders[0] + 'inside', 'w').close()\n"
-        "    quiet = list(seen)\n    attack()\n"
-        "pathlib.Path('/tmp/prc-fuzz-outside').unlink(missing_ok=True)\nsys.exit(0 if seen "
-        "and not quiet else 1)\n"
-    )
-    script = tmp_path / "attack.py"
-    script.write_text(program)
+    program = f"""
+import os, socket, subprocess, pickle, collections, sys
+from pathlib import Path
+from tests.fuzz.guard import watch
+EVIL = pickle.dumps(collections.Counter)
+folder = Path({str(tmp_path)!r})
+seen = watch((folder,))
+(folder / "inside").touch()
+quiet = list(seen)
+try:
+    {text}
+except OSError:
+    pass
+sys.exit(0 if seen and not quiet else 1)
+"""
     root = Path(__file__).resolve().parents[2]
-    assert (
-        patience.run([sys.executable, str(script)], env={"PYTHONPATH": str(root)}).returncode == 0
-    )
+    environment = {"PYTHONPATH": str(root)}
+    assert patience.run([sys.executable, "-c", program], env=environment).returncode == 0
+    Path("/tmp/prc-fuzz-outside").unlink(missing_ok=True)
 
 
 class Evil:
@@ -238,22 +242,26 @@ def test_what_is_unprintable(text: str) -> None:
     assert "\n" not in printable(text)
 
 
-REAL = ("profiler/jakarto_0.02s.las", "las/plane.laz", "las/fullwave_pf10.laz")
-
-
 @pytest.mark.data
-@pytest.mark.parametrize("name", [*REAL, "las/mls_not_in_time_order.las"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "profiler/jakarto_0.02s.las",
+        "las/plane.laz",
+        "las/fullwave_pf10.laz",
+        "las/mls_not_in_time_order.las",
+    ],
+)
 @settings(max_examples=5, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_real_scans_damaged(
-    worker: tuple[WatchedWorker, Path], real_data: Path, name: str, data: st.DataObject
+    server: tuple[Server, Path], real_data: Path, name: str, data: st.DataObject
 ) -> None:
-    watched, folder = worker
-    suffix = Path(name).suffix
-    case = folder / f"real{suffix}"
-    case.write_bytes(data.draw(damaged((real_data / name).read_bytes(), suffix)))
-    answer = watched.run(data.draw(st.sampled_from(TARGETS[suffix[1:]].commands)), case)
-    assert not answer["faults"]
+    source = real_data / name
+    case = server[1] / f"real{source.suffix}"
+    case.write_bytes(data.draw(damaged(source.read_bytes(), source.suffix)))
+    command = data.draw(st.sampled_from(TARGETS[source.suffix[1:]].commands))
+    assert not server[0].run(command, case)["faults"]
 
 
 def test_other_things_than_files_are_refused(tmp_path: Path) -> None:

@@ -38,16 +38,6 @@ def test_segments_differ_are_stable_and_none_is_black() -> None:
     assert segment_picture(np.array([[2**62]])).any()
 
 
-def plain(height: int, width: int, colour: int = 90) -> U8:
-    return np.full((height, width, 3), colour, dtype=np.uint8)
-
-
-def panel(picture: U8, title: str = "range", **options: object) -> Panel:
-    x = Axis("column", 0, picture.shape[1])
-    y = Axis("line", 0, picture.shape[0])
-    return Panel(title, picture, x, y, **options)  # type: ignore[arg-type]
-
-
 def test_ticks_mark_the_middle_of_their_cell_in_both_directions() -> None:
     forwards = Axis("line", 0, 100)
     backwards = Axis("line", 100, 0)

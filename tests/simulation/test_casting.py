@@ -9,10 +9,9 @@ import pytest
 
 from prc_cli.core.classes import Label
 from prc_cli.core.types import F64
-from prc_cli.simulation.scanners import SCANNERS, Scanner
-from prc_cli.simulation.sensor import Measured, cast, scan
+from prc_cli.simulation.sensor import cast
 from prc_cli.simulation.thresholds import Hits
-from prc_cli.simulation.world import Bodies, Material, Shape
+from prc_cli.simulation.world import Bodies, Shape
 
 FLOOR = (Shape.TRIANGLE, [-50, -50, -2, 50, -50, -2, 0, 90, -2])
 
@@ -169,41 +168,7 @@ def test_hits_do_not_depend_on_how_lines_are_cut_into_blocks() -> None:
     assert 0.2 < np.isfinite(whole.t).mean() < 0.9
 
 
-SEED = 20
 LINES = 400
-
-CW = SCANNERS["photon-80"].changed(
-    points_per_line=100,
-    field_deg=14.86,
-    lost_share=0.0,
-    background_share=0.0,
-    sky_share=0.0,
-    bright_sky_share=0.0,
-    cluster_share=0.0,
-    half_range_m=2000.0,
-    max_range_m=150.0,
-)
-"""A continuous wave without anything stray, with the steps of the Photon."""
-PULSED = CW.changed(
-    principle="pulsed", ambiguity_m=0.0, pulse_m=0.45, max_returns=4, min_range_m=0.3
-)
-
-
-def lines_of(hits: Hits, first: int, stop: int) -> Hits:
-    return Hits(*(column[first:stop] for column in hits))
-
-
-def sensor_world(*materials: Material, shape: Shape = Shape.TRIANGLE) -> Bodies:
-    n = len(materials)
-    leaved = np.array([material is Material.LEAVES for material in materials])
-    return Bodies(
-        np.where(leaved, Shape.ELLIPSOID, shape).astype(np.uint8),
-        np.zeros((n, 9)),
-        np.array(materials, dtype=np.uint8),
-        np.where(leaved, 1.0, 0.0),
-        np.zeros((n, 2)),
-        32.0 * np.arange(n, dtype=np.float64),
-    )
 
 
 def hits(
@@ -218,32 +183,6 @@ def hits(
     number = np.broadcast_to(np.asarray(body, dtype=np.int32), shape).copy()
     t = np.where(number < 0, np.inf, np.broadcast_to(np.asarray(t, dtype=np.float64), shape))
     return Hits(t, number, np.broadcast_to(np.asarray(facing, dtype=np.float64), shape).copy())
-
-
-def step(scanner: Scanner, far: float = 30.0) -> Measured:
-    """Between a post at 20 m in columns 40 to 59, and a wall."""
-    column = np.arange(100)
-    post = (column >= 40) & (column < 60)
-    shots = hits(np.where(post, 20.0, far), np.where(post, 1, 0), lines=20_000)
-    return scan(
-        shots, sensor_world(Material.WALL, Material.POLE, shape=Shape.CONE), scanner, 0, SEED
-    )
-
-
-def street(rng: np.random.Generator, lines: int, columns: int) -> tuple[Hits, Bodies]:
-    """Runs of all materials and sky."""
-    bodies = sensor_world(
-        Material.WALL, Material.GLASS, Material.LEAVES, Material.POLE, Material.TYRE
-    )
-    run = np.maximum.accumulate(
-        np.where(rng.random((lines, columns)) < 0.2, np.arange(columns), 0), axis=1
-    )
-    body = np.take_along_axis(rng.integers(-1, 5, (lines, columns)), run, axis=1).astype(np.int32)
-    t = np.take_along_axis(rng.uniform(2.0, 40.0, (lines, columns)), run, axis=1)
-    t = np.where(
-        body >= 0, t + np.where(body == 2, rng.exponential(0.5, (lines, columns)), 0.0), np.inf
-    )
-    return Hits(t, body, rng.random((lines, columns))), bodies
 
 
 def test_the_loop_reads_the_labels_that_are_meant() -> None:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from prc_cli.config import load_config
-from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F64, I64
 from prc_cli.jobs.classify import classify
 from prc_cli.streams.directions import fit_beams
@@ -146,29 +142,6 @@ def test_any_heights_are_fitted_or_refused() -> None:
         except NoDirectionError:
             continue
         assert -np.pi <= fit.down_rad <= np.pi
-
-
-def off_deg(down_rad: float, true: float = 0.0) -> float:
-    """Return how far a direction is off [deg]."""
-    return abs(math.degrees(math.remainder(down_rad - true, 2 * math.pi)))
-
-
-@dataclass(frozen=True)
-class Lines:
-    """A stream of one block."""
-
-    info: StreamInfo
-    block: ScanBlock
-
-    def blocks(self) -> Iterator[ScanBlock]:
-        yield replace(self.block)
-
-
-def street() -> Lines:
-    ranges, _ = street_lines(20)
-    angle = BEAM + 1.0
-    info = StreamInfo("street.npz", "array", len(BEAM), None, 20, angle_rad=angle)
-    return Lines(info, ScanBlock(0, ranges, angle_rad=angle, is_last=True))
 
 
 def test_a_guess_is_in_the_record_of_the_run(tmp_path: Path) -> None:

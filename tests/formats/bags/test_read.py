@@ -7,7 +7,6 @@ import json
 import sqlite3
 import struct
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,18 +28,6 @@ from tests.formats.bags import recordings as made
 from tests.formats.packets.captures import vlp16
 from tests.fuzz.crafted import endless_rows
 from tests.runner import runner
-
-WRITERS: dict[str, Callable[[Path], Path]] = {
-    "plain.bag": lambda path: made.write_bag(path, made.lasers(1)),
-    "bz2.bag": lambda path: made.write_bag(path, made.lasers(1), "bz2", 2000),
-    "lz4.bag": lambda path: made.write_bag(path, made.lasers(1), "lz4", 2000),
-    "plain.mcap": lambda path: made.write_mcap(path, made.lasers(2)),
-    "zstd.mcap": lambda path: made.write_mcap(path, made.lasers(2), "zstd", 1000),
-    "lz4.mcap": lambda path: made.write_mcap(path, made.lasers(2), "lz4"),
-    "plain.db3": lambda path: made.write_db3(path, made.lasers(2)),
-    "packed.db3": lambda path: made.write_db3(path, made.lasers(2), packed=True),
-    "big.db3": lambda path: made.write_db3(path, made.lasers(2), little=False),
-}
 
 
 def read(path: Path, **changes: Any) -> tuple[BagStream, list[ScanBlock]]:

@@ -110,12 +110,6 @@ def test_rows_of_a_label_file_must_be_in_record_order(tmp_path: Path) -> None:
         list(open_codes(path).codes())
 
 
-SOURCE = Path("drive.bin")
-
-
-SUFFIXES = [".npy", ".csv", ".parquet"]
-
-
 NAMED = ["ground", "Building", "car", "", "class 40", "low vegetation"]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,16 +23,6 @@ WIDE = Layout(
         LayoutField(name="column", type="u2"),
     ),
 )
-
-
-def read(source: RawBinarySource, *names: str) -> dict[str, np.ndarray[Any, Any]]:
-    chunks = list(source.chunks(names))
-    assert [chunk.first_record for chunk in chunks] == list(
-        np.cumsum([0] + [c.n for c in chunks])[:-1]
-    )
-    assert all(chunk.record is None and set(chunk.values) == set(names) for chunk in chunks)
-    assert all(len(array) == chunk.n for chunk in chunks for array in chunk.values.values())
-    return {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}
 
 
 @pytest.mark.parametrize(

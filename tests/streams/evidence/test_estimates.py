@@ -395,22 +395,3 @@ def test_a_sample_is_even_whatever_the_blocks(chunk: int, n_lines: int) -> None:
 
 
 # -- estimates
-
-
-def rough(
-    n_lines: int,
-    m: int,
-    seed: int = 3,
-    gone: float = 0.1,
-) -> F32:
-    """Lines of a profile that drifts, with steps of smooth and rough shots, some missing."""
-    rng = np.random.default_rng(seed)
-    profile = 2.0 + np.cumsum(rng.normal(0.0, 0.02, m))
-    profile[m // 3 : m // 2] = 2.5
-    image = (
-        profile
-        + np.cumsum(rng.normal(0.0, 0.01, (n_lines, 1)), axis=0)
-        + rng.normal(0.0, 0.002, (n_lines, m))
-    )
-    image[rng.random(image.shape) < gone] = np.nan
-    return np.exp(image).astype(np.float32)

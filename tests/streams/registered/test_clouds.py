@@ -71,14 +71,6 @@ def shuffled(cloud: Cloud) -> Cloud:
     return cloud.take(np.random.default_rng(1).permutation(len(cloud.time_s)))
 
 
-def tile(cloud: Cloud) -> Cloud:
-    """The points of a square of 20 m on the street, sorted in space."""
-    corner = np.median(cloud.xyz_m[:, :2], axis=0) - 10.0
-    inside = ((cloud.xyz_m[:, :2] >= corner) & (cloud.xyz_m[:, :2] < corner + 20.0)).all(axis=1)
-    part = cloud.take(inside)
-    return part.take(np.lexsort((part.xyz_m[:, 1], np.floor(part.xyz_m[:, 0]))))
-
-
 def later(cloud: Cloud, seconds: float) -> Cloud:
     return replace(cloud, time_s=cloud.time_s + seconds)
 
