@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import gzip
-from collections import Counter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -210,36 +206,4 @@ def test_a_record_without_a_code_is_never_scored(unlisted: str) -> None:
     assert mapping.class_indices(np.array([-1, 2]), "reference").tolist() == [-1, 0]
 
 
-@pytest.mark.parametrize(
-    "name", ["asprs", "street_scan", "street_scan_kitti", "street_scan_oakland", "sequential_angle"]
-)
-def test_presets_that_take_every_class_of_both_classifiers(name: str) -> None:
-    mapping = load_mapping(name)
-    codes = ClassCodes().lookup()
-    assert (mapping.class_indices(codes, "predicted")[1:] >= 0).all()
-
-
 pytestmark = pytest.mark.data
-
-
-@pytest.mark.parametrize("name", ["oakland_1", "oakland_2", "oakland_3"])
-def test_oakland_labels_are_all_listed(real_data: Path, name: str) -> None:
-    with gzip.open(real_data / "oakland" / f"{name}.csv.gz", "rt", encoding="utf-8") as handle:
-        counts = Counter(row["label"] for row in csv.DictReader(handle))
-    codes = np.array([int(label or 0) for label in counts])
-    mapping = load_mapping("oakland")
-    indices = mapping.class_indices(codes, "reference")
-    shots = np.bincount(indices + 1, weights=np.array(list(counts.values())), minlength=5)
-    by_name = dict(zip(("ignored", *mapping.names("reference")), shots, strict=True))
-    assert by_name["ground"] > 0.4 * shots.sum()
-    assert by_name["ignored"] > 0.1 * shots.sum()  # no return, or undetermined
-    assert by_name["vegetation"] > 0
-    assert 0 < by_name["other"] < 0.1 * shots.sum()
-
-
-def test_semantic_kitti_labels_are_all_listed(real_data: Path) -> None:
-    labels = np.fromfile(real_data / "kitti" / "000000.label", dtype="<u4") & 0xFFFF
-    mapping = load_mapping("semantic_kitti")
-    counts = np.bincount(mapping.class_indices(labels, "reference") + 1, minlength=6)
-    assert counts[0] == np.count_nonzero(labels == 0)
-    assert counts[1 + mapping.names("reference").index("ground")] > 0.5 * counts.sum()

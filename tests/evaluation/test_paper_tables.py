@@ -144,24 +144,3 @@ def test_every_report_tells_the_same_figures(matrix: ConfusionMatrix) -> None:
     for count in matrix.counts.ravel().tolist():
         assert str(count) in markdown
         assert f"{count:,}" in page
-
-
-def test_scikit_learn_reads_the_papers_the_same_way() -> None:
-    metrics = pytest.importorskip("sklearn.metrics")
-    for matrix in (forest(), street()):
-        n = len(matrix.reference_names)
-        reference, predicted = (axis.ravel() for axis in np.indices((n, n)))
-        weights = matrix.counts.ravel()
-        matrix_scores = scores(matrix)
-        precision, recall, f1, _ = metrics.precision_recall_fscore_support(
-            reference, predicted, sample_weight=weights
-        )
-        iou = metrics.jaccard_score(reference, predicted, average=None, sample_weight=weights)
-        for i, item in enumerate(matrix_scores.classes):
-            values = item.precision, item.recall, item.f1, item.iou
-            assert values == pytest.approx((precision[i], recall[i], f1[i], iou[i]))
-        assert matrix_scores.accuracy == pytest.approx(
-            metrics.accuracy_score(reference, predicted, sample_weight=weights)
-        )
-        kappa = metrics.cohen_kappa_score(reference, predicted, sample_weight=weights)
-        assert matrix_scores.kappa == pytest.approx(kappa)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 from prc_cli.core.frame import SensorFrame
 
 

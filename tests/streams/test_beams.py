@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from prc_cli.config import LoadedConfig, load_config
+from prc_cli.config import load_config
 from prc_cli.core.errors import InputError, PrcError
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
@@ -18,8 +18,6 @@ from prc_cli.core.types import F32, F64
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.choice import choose
-from prc_cli.jobs.classify import classify, open_stream
-from prc_cli.jobs.evaluate import evaluate
 from prc_cli.simulation.settings import load_settings, open_simulation
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.down import wrap
@@ -37,7 +35,7 @@ from tests.streams.beam_lines import (
     stream,
     worst_deg,
 )
-from tests.streams.record_lists import LINE_HZ, SHOT_HZ, M, open_records, read, scene
+from tests.streams.record_lists import LINE_HZ, SHOT_HZ, M, open_records, scene
 
 AUTO = InputConfig()
 
@@ -264,50 +262,6 @@ def test_any_lines_have_proper_beams_or_are_refused_in_one_line() -> None:
 
 
 pytestmark = pytest.mark.data
-
-ROOT = Path(__file__).resolve().parents[2]
-
-
-def opened(source: Path, loaded: LoadedConfig) -> ScanStream:
-    return with_beams(open_stream(source, loaded), loaded.config.input)
-
-
-def real_beams(stream: ScanStream) -> F64:
-    beam = next(iter(stream.blocks())).beam_rad
-    assert beam is not None
-    assert is_strictly_monotone(beam)
-    return beam
-
-
-def test_kitti_frame(real_data: Path, tmp_path: Path) -> None:
-    source = real_data / "kitti" / "000000.bin"
-    loaded = load_config(ROOT / "sample_configs" / "kitti_frame.toml")
-    stream = opened(source, loaded)
-    assert stream.info.points_per_line == 64
-    assert stream.info.n_lines == pytest.approx(2198, abs=3)
-    elevation = np.rad2deg(np.abs(real_beams(stream))) - 90
-    assert elevation[0] < -22
-    assert 1.5 < elevation[-1] < 3
-    whole = read(stream)
-    # shots of other azimuths in a line: no more than two steps off
-    xyz = np.concatenate([block.xyz_m for block in whole.blocks if block.xyz_m is not None])
-    azimuth = np.rad2deg(np.arctan2(xyz[..., 1], xyz[..., 0]))
-    middle = np.rad2deg(2 * np.pi * (np.arange(len(xyz)) + 0.5) / len(xyz))[:, None]
-    off = np.abs((azimuth - middle + 180) % 360 - 180)
-    assert np.nanpercentile(off, 95) < 2 * 360 / len(xyz)
-    assert whole.tally.n_collisions < 0.004 * 124_668
-    assert whole.tally.n_unplaced == 0
-    # rings of the road in front, which the scanner sees without a gap, are without gaps
-    assert np.mean(np.isnan(whole.range_m[:, 24:32])) < 0.03
-    summary = classify(source, tmp_path / "labels.npy", loaded)
-    assert summary.counts.n_lines == stream.info.n_lines
-    labels = np.load(tmp_path / "labels.npy")
-    assert len(labels) == 124_668
-    assert np.all(labels > 0)
-    matrix = evaluate(
-        tmp_path / "labels.npy", real_data / "kitti" / "000000.label", "semantic_kitti"
-    )
-    assert matrix.counts.sum() + matrix.n_ignored == 124_668
 
 
 STREET = street_lines(200)[0]

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from prc_cli.config import load_config
 from prc_cli.core.types import F64, I64
-from prc_cli.jobs.classify import classify
 from prc_cli.streams.directions import fit_beams
 from prc_cli.streams.down import NoDirectionError, fit_heights
-from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.streams.beam_lines import GEOMETRIES, is_strictly_monotone, lines, worst_deg
 
 
@@ -142,16 +137,3 @@ def test_any_heights_are_fitted_or_refused() -> None:
         except NoDirectionError:
             continue
         assert -np.pi <= fit.down_rad <= np.pi
-
-
-def test_a_guess_is_in_the_record_of_the_run(tmp_path: Path) -> None:
-    np.savez(
-        tmp_path / "street.npz", range_m=street_lines(40)[0], angle_deg=np.rad2deg(BEAM) + 20.0
-    )
-    loaded = load_config(preset="fused")
-    guessed = classify(tmp_path / "street.npz", tmp_path / "labels.npy", loaded)
-    (note,) = [notice for notice in guessed.record.notices if "straight down" in notice]
-    assert "20." in note or "19." in note
-    configured = load_config(preset="fused", options={"input": {"nadir": 20.0}})
-    exact = classify(tmp_path / "street.npz", tmp_path / "exact.npy", configured)
-    assert not any("straight down" in notice for notice in exact.record.notices)

@@ -206,37 +206,6 @@ def test_real_bags(tmp_path: Path, real_data: Path, name: str) -> None:
     assert all(kinds[topic] == kinds[topic.removesuffix("/labels")] for topic in kinds)
 
 
-@pytest.mark.slow
-def test_the_command_and_a_folder_as_input(tmp_path: Path) -> None:
-    folder = tmp_path / "bag"
-    folder.mkdir()
-    made.write_db3(folder / "bag_0.db3", [*made.lasers(2), *made.strings(2)])
-    (folder / "metadata.yaml").write_text(
-        "rosbag2_bagfile_information:\n  relative_file_paths:\n    - bag_0.db3\n"
-    )
-    out = out_folder(tmp_path)
-    for name in ("labels.npy", "drive.db3"):
-        arguments = [
-            "classify",
-            str(folder),
-            str(out / name),
-            "--preset",
-            "prc-2019-urban",
-            "--quiet",
-        ]
-        result = runner().invoke(cli, arguments)
-        assert result.exit_code in (0, 4), result.stderr
-    np.testing.assert_array_equal(np.load(out / "labels.npy"), read_codes(out / "drive.db3"))
-    told = runner().invoke(
-        cli, ["evaluate", str(out / "labels.npy"), str(out / "drive.db3"), "--json"]
-    )
-    assert told.exit_code == 0, told.stderr
-    assert '"accuracy": 1.0' in told.stdout
-    (folder / "metadata.yaml").write_text("relative_file_paths:\n  - bag_0.db3\n  - bag_1.db3\n")
-    told = runner().invoke(cli, ["info", str(folder)])
-    assert "name the file in this bag" in told.stderr
-
-
 @pytest.mark.parametrize(
     ("suffix", "packed"),
     [

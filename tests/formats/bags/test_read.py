@@ -19,7 +19,7 @@ from prc_cli.core import process
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock
-from prc_cli.formats.bags.containers import Bag, Message, Topic
+from prc_cli.formats.bags.containers import Message, Topic
 from prc_cli.formats.bags.messages import VELODYNE
 from prc_cli.formats.bags.read import BagStream, _TopicReader
 from prc_cli.formats.options import InputConfig
@@ -245,68 +245,6 @@ def test_the_laser_sample_is_what_rosbags_reads(real_data: Path, tmp_path: Path)
 
 @pytest.mark.slow
 @pytest.mark.data
-@pytest.mark.parametrize("name", ["nebula_vlp16", "nebula_xt16"])
-def test_packets_of_the_samples_are_decoded_cell_by_cell(
-    real_data: Path, tmp_path: Path, name: str
-) -> None:
-    """Against a plain decoder of one packet after the other."""
-    (path,) = (real_data / "ros" / name).glob("*.db3")
-    stream, blocks = read(path, **{"return": "last"})
-    block = join(blocks)
-    n_lasers = 16
-    order = list(range(0, 16, 2)) + list(range(1, 16, 2))
-    unit = 0.002
-    per_packet = 12
-    rows = []
-    bag = Bag(path)
-    for message in bag.messages(bag.counts):
-        data = message.data
-        position = 4
-        position += 8 + 4 + struct.unpack_from("<I", data, position + 8)[0]
-        position += -(position - 4) % 4
-        (n,) = struct.unpack_from("<I", data, position)
-        position += 4
-        for _ in range(n):
-            position += -(position - 4) % 4
-            if name == "nebula_vlp16":
-                packet = data[position + 8 : position + 8 + 1206]
-                position += 8 + 1206
-                for pair in range(6):
-                    for firing in range(2):
-                        row = [
-                            _two(packet, (100 * (2 * pair + r)) + 4 + 48 * firing, order, 3)
-                            for r in range(2)
-                        ]
-                        rows.append(row)
-            else:
-                packet = data[position + 8 : position + 8 + 568]
-                position += 8 + 1504
-                starts = [[12 + 66 * (2 * pair + r) + 2 for r in range(2)] for pair in range(4)]
-                rows += [
-                    [_two(packet, start, range(15, -1, -1), 4) for start in two] for two in starts
-                ]
-                unit = 0.004
-                per_packet = 4
-    distance = np.array(rows, np.float64) * unit
-    assert distance.shape == (block.n_lines, 2, n_lasers)
-    farther = distance.max(axis=1)
-    np.testing.assert_allclose(np.nan_to_num(block.range_m), farther, atol=1e-5)
-    n_both = np.count_nonzero((distance[:, 0] != distance[:, 1]) & (distance > 0).all(axis=1))
-    assert len(block.extra) == n_both > 100
-    assert block.n_lines % per_packet == 0
-    assert block.xyz_m is not None
-    elevation = np.rad2deg(np.arcsin(block.xyz_m[..., 2] / block.range_m))
-    level = np.broadcast_to(np.linspace(-15, 15, 16), elevation.shape)
-    has = np.isfinite(elevation)
-    np.testing.assert_allclose(elevation[has], level[has], atol=0.01)
-    assert stream.info.facts.notes == ()
-    output = tmp_path / "labels.npy"
-    result = runner().invoke(cli, ["classify", str(path), str(output), "--method", "fused", "-q"])
-    assert result.exit_code in (0, 4), result.output
-
-
-@pytest.mark.slow
-@pytest.mark.data
 @pytest.mark.parametrize(
     ("name", "m", "missing"),
     [
@@ -368,15 +306,6 @@ def test_the_samples_of_every_model_have_the_points_of_another_decoder(
             for a, b, angle in zip(low, high, turned[its], strict=True)
         ]
     assert float(np.mean(np.array(off) < 1.1 * step)) > 0.99
-
-
-def _two(
-    packet: bytes,
-    at: int,
-    order: Any,
-    step: int,
-) -> list[int]:
-    return [struct.unpack_from("<H", packet, at + step * laser)[0] for laser in order]
 
 
 def test_packets_of_a_message_have_records_of_their_own(tmp_path: Path) -> None:

@@ -202,26 +202,6 @@ def test_a_record_too_long_for_a_vlr_is_shortened_there_only(tmp_path: Path) -> 
 # ---- real files
 
 
-@pytest.mark.data
-def test_a_real_file_with_its_own_classes_comes_back_whole(real_data: Path, tmp_path: Path) -> None:
-    """Writing the codes that are there already gives the same compressed points, byte for byte."""
-    source = real_data / "las" / "ign_tile_not_chronological.laz"
-    old = parse(source)
-    class_codes = np.asarray(laspy.read(source).classification).astype(int)
-    names = ["unclassified", "ground", "vegetation", "building", "noise", "stem", "car", "curb"]
-    values = np.unique(class_codes)
-    codes = ClassCodes(**dict(zip(names, values.tolist(), strict=False)))
-    table = {code: label for label, code in enumerate(codes.lookup().tolist()) if label}
-    labels = np.array([table[code] for code in range(256) if code in table], np.uint8)[
-        np.searchsorted(sorted(table), class_codes)
-    ]
-    write(tmp_path / "out.laz", source, record_blocks(labels, 500), codes=codes)
-    new = parse(tmp_path / "out.laz")
-    start = field(old.data, 96, "I")
-    new_start = field(new.data, 96, "I")
-    assert new.data[new_start + 8 :] == old.data[start + 8 :]
-
-
 @pytest.mark.parametrize("form", range(6))
 def test_five_bits_hold_code_31_and_not_32(form: int) -> None:
     records = np.full((2, standard_bytes(form)), 0xFF, np.uint8)

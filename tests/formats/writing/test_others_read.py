@@ -17,9 +17,7 @@ import pytest
 from pyarrow import parquet
 from rosbags.highlevel import AnyReader
 
-from prc_cli.config import load_config
 from prc_cli.formats.registry import by_suffix
-from prc_cli.jobs.classify import classify
 from prc_cli.jobs.simulate import simulate
 from prc_cli.simulation.settings import load_settings
 
@@ -98,18 +96,3 @@ def test_every_stream(tmp_path: Path, suffix: str) -> None:
     n_returns = made.counts.n_shots - made.counts.n_missing
     contents = READERS[suffix](path)
     assert contents in {LINES * M, n_returns, n_returns + made.counts.n_extra}
-
-
-@pytest.mark.parametrize(
-    "suffix", sorted(set(by_suffix("labels")) - {".las", ".laz", ".bag", ".mcap", ".db3"})
-)
-def test_labels(tmp_path: Path, suffix: str) -> None:
-    source = tmp_path / "in.npz"
-    path = tmp_path / f"o{suffix}"
-    simulate("street", source, load_settings("street", options=SETTINGS))
-    classify(
-        source,
-        path,
-        load_config(preset="prc-2019-urban", options={"input": {"accept_doubts": ["shot-order"]}}),
-    )
-    assert 0 < READERS[suffix](path) <= LINES * M

@@ -55,15 +55,6 @@ def test_every_point_gets_its_ring_line_and_range(name: str) -> None:
     assert scan.residual_m < 0.005
 
 
-def test_a_tenth_of_the_points_is_enough() -> None:
-    kept = np.random.default_rng(1).random(len(cloud("even rings").time_s)) < 0.1
-    points = cloud("even rings").part(kept)
-    spinning = find_head(points.time_s, points.xyz_m)
-    assert isinstance(spinning, SpinningHead)
-    scan, _ = scan_piece(points.time_s, points.xyz_m, spinning)
-    assert np.mean(scan.column == points.ring) > 0.99
-
-
 def test_points_of_one_plane_are_no_spinning_head() -> None:
     time_s = np.arange(20_000) / 20_000.0
     bearing = 2.0 * np.pi * 50.0 * time_s
