@@ -81,8 +81,13 @@ def test_the_first_command_takes_the_seed(server: tuple[Server, Path], name: str
         ("huge_page.parquet", "evaluate {case} {case} --dimension range", 1),
         ("wide.las", f"classify {{case}} {{out}}/o.las {URBAN} --set output.segment_ids=true", 0),
         ("overflow.npy", f"render {{case}} {{out}}/o.png {DRAWN}", 0),
-        ("overflow.ply", "convert {case} {out}/o.npz --trust-order", 0),
-        ("cast.ply", "convert {case} {out}/o.npz --trust-order", 0),
+        ("overflow.ply", "convert {case} {out}/o.npz --trust-order", 4),
+        (
+            "cast.ply",
+            "convert {case} {out}/o.npz --trust-order -M 24 --lines fixed --columns order "
+            "--range origin:0,0,2 --set input.partial_line=pad",
+            4,
+        ),
         ("cast.bin", f"classify {{case}} {{out}}/o.npy {URBAN}", 1),
         ("overflowing.laz", "convert {case} {out}/o.las", None),
     ],
