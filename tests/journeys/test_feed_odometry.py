@@ -75,10 +75,10 @@ def test_kiss_icp_reads_the_folder_as_it_is(frames: Path, tmp_path: Path) -> Non
 def test_small_gicp_reads_the_folder_as_it_is(
     frames: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    page = (ROOT / "docs" / "feed_odometry.md").read_text(encoding="utf-8")
+    page = (ROOT / "design" / "feed_odometry.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     monkeypatch.chdir(frames)
-    exec(compile(code, "docs/feed_odometry.md", "exec"), {})
+    exec(compile(code, "design/feed_odometry.md", "exec"), {})
     track = np.loadtxt("poses.txt").reshape(-1, 4, 4)
     assert len(track) == N_FRAMES
     assert np.linalg.norm(track[-1, :3, 3] - track[0, :3, 3]) == pytest.approx(
