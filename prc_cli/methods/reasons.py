@@ -198,7 +198,7 @@ RULES: dict[Reason, Rule] = {
 }
 VOTE = Rule("most shots around are of this class", ("votes.half_width_m", "votes.near_m"))
 FURTHER = Rule(
-    "a further return: the class of a shot around that is as far, or of a shot without neighbours"
+    "a further return: the class of a shot around that is as far, leaves around, or a lone shot"
 )
 
 LABEL_REASONS: dict[str, dict[Label, Reason]] = {

@@ -623,8 +623,9 @@ def late_leaf_case(rng: Generator) -> tuple[Any, ...]:
         foot_m=rng.choice([0.15, -1.0]),
         leaves=rng.choice([3.0, 1e9]),
         range_m=rng.choice([2.0, 0.2, 0.125]),
+        apart_m=rng.choice([0.0, 0.01, 0.1]),
     )
-    return labels, voted, range_m, above, chosen
+    return labels, voted, range_m, above, scene.step, chosen
 
 
 def fan_case(rng: Generator) -> tuple[Any, ...]:

@@ -158,6 +158,7 @@ def find_late_leaves(
     voted: U8,
     range_m: F32,
     above_m: F32,
+    plane: ScanPlane,
     limits: LateLeafThresholds,
 ) -> U8:
     """Label leaves among the noise; see :func:`noise_loops.leaves_amid_noise`.
@@ -167,7 +168,7 @@ def find_late_leaves(
     """
     inner = slice(WIDE_LINES + VOTE_LINES, -WIDE_LINES - VOTE_LINES)
     labels: U8 = leaves_amid_noise(
-        decided, voted, range_m[WIDE_LINES:-WIDE_LINES], above_m[inner], limits
+        decided, voted, range_m[WIDE_LINES:-WIDE_LINES], above_m[inner], plane.step_rad, limits
     )
     return labels
 

@@ -17,12 +17,14 @@ _LEAVES = int(Label.VEGETATION)
 
 
 @helper
-def _list_noise(labels: U8, above: F32, foot: np.float32, shots: I32) -> int:
-    """List the noise of a line above the ground, return how many shots there are."""
+def _list_noise(
+    labels: U8, ranges: F32, above: F32, far_m: np.float32, foot_m: np.float32, shots: I32
+) -> int:
+    """List the noise of a line that is far and above the ground, return how many shots it is."""
     n = 0
     for i in range(len(labels)):
         shots[n] = i
-        n += (labels[i] == _NOISE) & (above[i] > foot)
+        n += (labels[i] == _NOISE) & (ranges[i] >= far_m) & (above[i] > foot_m)
     return n
 
 
@@ -44,6 +46,7 @@ def leaves_amid_noise(
     voted: U8_2,
     range_m: F32_2,
     above_m: F32_2,
+    step: np.float32,
     thresholds: LateLeafThresholds,
 ) -> U8_2:
     """Find the leaves among the noise: leaves in other lines are as far.
@@ -55,8 +58,11 @@ def leaves_amid_noise(
     n_lines, m = voted.shape
     later = voted.copy()
     shots = np.empty(m + 1, np.int32)
+    far_m = thresholds.apart_m / step
+    foot_m = thresholds.foot_m
     for line in range(n_lines):
-        n_shots = _list_noise(voted[line], above_m[line], thresholds.foot_m, shots)
+        ranges = range_m[line + BESIDE_LINES]
+        n_shots = _list_noise(voted[line], ranges, above_m[line], far_m, foot_m, shots)
         for n in range(n_shots):
             i = int(shots[n])
             if _is_leaf(range_m, labels, line + BESIDE_LINES, i, thresholds):

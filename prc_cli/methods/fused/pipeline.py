@@ -100,7 +100,7 @@ from prc_cli.methods.fused.spacing import (
     strides_of,
 )
 from prc_cli.methods.fused.strips import Strips, measure_strips
-from prc_cli.methods.fused.thresholds import NEVER, STREET, Limits, in_room
+from prc_cli.methods.fused.thresholds import STREET, Limits, in_room
 from prc_cli.methods.plane import Plane
 from prc_cli.methods.returns import label_extra_returns
 
@@ -251,11 +251,7 @@ class FusedScanner:
         """
         plane = ScanPlane.of(beam_rad)
         limits = STREET
-        if float(plane.step_rad) < limits.foliage.depth_step_rad:
-            # a leaf among leaves has near neighbours
-            late = limits.late_leaves._replace(leaves=np.float32(NEVER))
-            limits = limits._replace(late_leaves=late)
-        else:
+        if float(plane.step_rad) >= limits.foliage.depth_step_rad:
             thick_m = max(limits.decision.thick_m, COARSE_THICK_M)
             limits = limits._replace(decision=limits.decision._replace(thick_m=thick_m))
         return cls(Plane.of(beam_rad), plane, limits)
@@ -830,7 +826,7 @@ def _decide(
     )
     decided = np.take(LABELS_BY_REASON, rules)
     voted = vote(decided, range_m[WIDE_LINES:-WIDE_LINES], plane, limits.votes)
-    late = find_late_leaves(decided, voted, range_m, ground.above_m, limits.late_leaves)
+    late = find_late_leaves(decided, voted, range_m, ground.above_m, plane, limits.late_leaves)
     inner = slice(INNER_LINES + 1, -INNER_LINES - 1)
     labels = find_curbs(late, range_m[inner], ground.above_m[inner], plane, limits.curbs)
     if not with_reasons:
@@ -890,7 +886,7 @@ def label_further_returns(
     """Label the further returns of the shots.
 
     Light that passes a leaf meets other leaves, which may be isolated. Such returns are vegetation,
-    not noise.
+    not noise, and so are those that have leaves beside them.
 
     Returns (n,) uint8.
 
@@ -903,6 +899,9 @@ def label_further_returns(
     ['VEGETATION', 'NOISE']
     """
     further = label_extra_returns(range_m, labels, line, column, range_m_extra, limit_m, limit_m)
-    is_behind_leaf = (labels[line, column] == Label.VEGETATION) & (further == Label.NOISE)
-    further[is_behind_leaf] = Label.VEGETATION
+    known_m = np.where(labels == Label.NOISE, np.float32(np.nan), range_m)
+    leaf_m = float(STREET.late_leaves.range_m)
+    beside = label_extra_returns(known_m, labels, line, column, range_m_extra, leaf_m, leaf_m)
+    is_leaf = (labels[line, column] == Label.VEGETATION) | (beside == Label.VEGETATION)
+    further[is_leaf & (further == Label.NOISE)] = Label.VEGETATION
     return further

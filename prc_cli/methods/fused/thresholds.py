@@ -302,16 +302,15 @@ class DecisionThresholds(NamedTuple):
 
 
 class LateLeafThresholds(NamedTuple):
-    """What a leaf among the noise is.
+    """What a leaf among the noise is."""
 
-    Only where columns are at least :attr:`Foliage.depth_step_rad` apart.
-    """
-
+    apart_m: np.float32 = f32(0.06)
+    """Columns are at least this far apart there: nearer leaves have near neighbours [m]."""
     foot_m: np.float32 = FOOT_M
     """It is higher than this above the ground [m]."""
     leaves: np.float32 = f32(3)
     """So many leaves around, in three lines, ..."""
-    range_m: np.float32 = f32(2)
+    range_m: np.float32 = f32(4)
     """... are within this in range [m]."""
 
 
