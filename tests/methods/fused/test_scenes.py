@@ -6,14 +6,23 @@ above the ground, but for what a row says.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
+from inspect import getsource
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from prc_cli.core.classes import Label, Reason
+from prc_cli.core.classes import LABEL_NAMES, LABELS_BY_REASON, Label, Reason
 from prc_cli.core.types import U8
-from prc_cli.methods.fused.classes_loops import MARGIN, fused_labels
+from prc_cli.methods.fused.classes_loops import (
+    MARGIN,
+    _label_noise_and_ground,
+    _label_things,
+    fused_labels,
+)
 from prc_cli.methods.fused.records import (
     FENCE,
     FEW_SHOTS,
@@ -32,6 +41,7 @@ from prc_cli.methods.fused.records import (
 from prc_cli.methods.fused.thresholds import DecisionThresholds
 from prc_cli.methods.fused.votes_loops import vote_labels
 
+ROOT = Path(__file__).resolve().parents[3]
 M = 9
 STEP_RAD = np.float32(0.004)
 SIDE_M = 5.0
@@ -173,6 +183,29 @@ def reasons(
 )  # fmt: skip
 def test_the_right_rule_decides(right: Reason, shot: dict[str, Any]) -> None:
     assert Reason(reasons(**shot)[M // 2]).name == right.name
+
+
+def rules_of_code() -> list[tuple[str, str]]:
+    """Return label and reason of every rule, in the order of the code."""
+    lists: Sequence[Any] = (_label_noise_and_ground, _label_things)
+    code = "".join(getsource(rules.py_func) for rules in lists)
+    rules = re.findall(r"rule = _([A-Z_]+)  # (\w+): ", code)
+    assert len(rules) == len(re.findall(r"rule = _(?!OPEN)", code))
+    return [(label, name.lower()) for name, label in rules]
+
+
+def test_code_and_pages_have_the_rules_in_the_same_order() -> None:
+    rules = rules_of_code()
+    assert [LABEL_NAMES[LABELS_BY_REASON[Reason[name.upper()]]] for _, name in rules] == [
+        label for label, _ in rules
+    ]
+    design = (ROOT / "design" / "fused.md").read_text(encoding="utf-8")
+    table = re.findall(r"^\| `(\w+)` \| (\w+) \|", design, re.MULTILINE)
+    assert [(label, name) for name, label in table] == rules
+    manual = (ROOT / "docs" / "fused.md").read_text(encoding="utf-8")
+    steps = re.findall(r"^\d+\. (\w+).*?: (`.*`)$", manual, re.MULTILINE)
+    in_manual = [(label, name) for label, names in steps for name in re.findall(r"\w+", names)]
+    assert [("missing", "missing"), *in_manual] == rules
 
 
 def test_a_wall_is_smooth() -> None:
