@@ -56,7 +56,7 @@
     link.href = url; link.download = about.file;
     link.click();
     setTimeout(() => URL.revokeObjectURL(url), 10000);
-    $("state").textContent = `Saved as ${about.file}.`;
+    $("state").textContent = `Saved as ${about.file}. Then type: ${about.command}`;
   }
 
   // ---- data of a place: integers byte by byte, differences, deflated, base64

@@ -10,6 +10,7 @@ intensity of every cell) and coordinates (of the cells with a return).
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, NamedTuple
@@ -112,6 +113,7 @@ def check_page(
         "answers": answers,
         "colours": colours,
         "file": file,
+        "command": shlex.join(["prc", "evaluate", labels.name, file]),
         "paint": asdict(labels),
         "range_step": _RANGE_M,
         "places": places,
