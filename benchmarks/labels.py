@@ -11,9 +11,10 @@ The first seeds chose nothing and were run once for the page of figures; limits 
 :data:`SPENT`. The scene of a street goes with its seed. A class counts in a scan with at least 200
 shots of it.
 
-A scan of FOLDER holds reference codes of prc, or has them beside it in NAME.reference.npy. It is a
-forest if NAME begins so. Real scans: Oakland has classes of its own; RIEGL's were marked by hand
-(riegl_paris.csv, first file apart: it may be tuned on); Argoverse marks ground and vehicles."""
+A scan of FOLDER holds reference codes of prc, or has them beside it in NAME.reference.npy, and
+options of ``prc classify`` in NAME.options. It is a forest if NAME begins so. Real scans: Oakland
+has classes of its own; RIEGL's were marked by hand (riegl_paris.csv, first file apart: it may be
+tuned on); Argoverse marks ground and vehicles."""
 
 from __future__ import annotations
 
@@ -105,7 +106,7 @@ def scans(seeds: list[int], others: Path | None) -> Iterator[tuple[str, str, Mak
     for k, name in enumerate(("upper", "lower")):
         yield "Argoverse", name, partial(argoverse, k)
     for file in sorted(others.iterdir()) if others else ():
-        if file.suffix not in {".npy", ".json"}:
+        if file.is_file() and file.suffix not in {".npy", ".json", ".options"}:
             yield "others", file.stem, partial(scan_of_others, file)
 
 
@@ -182,7 +183,9 @@ def scan_of_others(file: Path, _: Path) -> Case:
     beside = file.with_name(f"{file.stem}.reference.npy")
     forest = file.stem.startswith("forest")
     mapping = MAPPINGS["forest"] if forest else "street"
-    return Case(file, beside if beside.exists() else file, mapping)
+    words = file.with_suffix(".options")
+    options = tuple(words.read_text().split()) if words.exists() else ()
+    return Case(file, beside if beside.exists() else file, mapping, options)
 
 
 def scores_of(python: str, case: Case, folder: Path) -> dict[str, float]:
@@ -200,7 +203,9 @@ def scores_of(python: str, case: Case, folder: Path) -> dict[str, float]:
         return {}  # what is refused has no labels
     files = [str(labels), str(case.reference)]
     evaluate = [*run, "evaluate", *files, "--mapping", case.mapping, "--json"]
-    process = subprocess.run(evaluate, cwd=folder, capture_output=True, text=True, check=True)
+    process = subprocess.run(evaluate, cwd=folder, capture_output=True, text=True, check=False)
+    if process.returncode:
+        raise SystemExit(f"{case.file}: {process.stderr.strip()}")
     matrix = json.loads(process.stdout)["confusion"]
     every = scores(
         ConfusionMatrix(
