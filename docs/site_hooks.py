@@ -28,7 +28,7 @@ def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
 def on_page_content(html: str, *, page: Any, **_: Any) -> str:
     """Give pictures their captions, and mark the tables of the reference for narrow screens."""
     html = _PICTURE.sub(r"<figure>\1<figcaption>\2</figcaption></figure>", html)
-    if page.file.src_uri.startswith("reference/"):
+    if page.file.src_uri.startswith(("reference/", "troubleshooting")):
         html = html.replace("<table>", '<div class="cards"><table>')
         html = html.replace("</table>", "</table></div>")
     return html
