@@ -340,6 +340,7 @@ def columns_case(rng: Generator) -> tuple[Any, ...]:
         post_m=rng.choice([0.12, 1.0]),
         post_tall_m=rng.choice([0.1, 0.4]),
         post_top_m=rng.choice([0.6, 1.25]),
+        reach=rng.choice([1, 2]),
         slim_lines=rng.choice([1, 4]),
         piece_lines=rng.choice([3, 24]),
         high_m=rng.choice([0.0, 1.2, 2.2]),

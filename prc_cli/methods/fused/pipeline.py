@@ -253,7 +253,10 @@ class FusedScanner:
         limits = STREET
         if float(plane.step_rad) >= limits.foliage.depth_step_rad:
             thick_m = max(limits.decision.thick_m, COARSE_THICK_M)
-            limits = limits._replace(decision=limits.decision._replace(thick_m=thick_m))
+            limits = limits._replace(
+                columns=limits.columns._replace(reach=np.float32(2)),
+                decision=limits.decision._replace(thick_m=thick_m),
+            )
         return cls(Plane.of(beam_rad), plane, limits)
 
     @property

@@ -57,6 +57,8 @@ NO_END = np.uint8(127)
 FREE = np.uint8(1)
 NARROW = np.uint8(2)
 """Marks of shots that lines on both sides see far past, and of those that few lines see."""
+GAP = np.uint8(4)
+"""Mark of single shots within a run that miss the thing."""
 ROUND = np.float32(0.34)
 """By how much of its radius the middle half of a round thing is nearer than its outer quarters."""
 CHEST_M = np.float32(1.0)
@@ -148,6 +150,23 @@ def _is_in_run(
     """Whether the shot ``j`` is in the run of the adjacent shot ``i``."""
     is_counted = (np.float32(near[j]) >= thresholds.least_near) & (above[j] > thresholds.foot_m)
     return bool(is_counted & (abs(ranges[j] - ranges[i]) < thresholds.jump_m))
+
+
+@helper
+def _last_of_run(
+    ranges: F32, near: U8, above: F32, i: int, way: int, marks: U8, thresholds: ColumnThresholds
+) -> int:
+    """Follow a run to one side, over single shots that miss the thing; mark these."""
+    j = i + way
+    while 0 <= j < len(ranges) and np.float32(abs(j - i)) <= thresholds.reach:
+        if _is_in_run(ranges, near, above, i, j, thresholds):
+            if j - way != i:
+                marks[j - way] = GAP
+            i = j
+        elif ranges[j] <= ranges[i] + thresholds.far_m:
+            break
+        j += way
+    return i
 
 
 @inlined
@@ -366,12 +385,8 @@ def find_columns(
         for i in range(m):
             if marks[i] == 0 or i < end:
                 continue
-            first = i
-            end = i + 1
-            while first > 0 and _is_in_run(ranges, near, above, first, first - 1, thresholds):
-                first -= 1
-            while end < m and _is_in_run(ranges, near, above, end - 1, end, thresholds):
-                end += 1
+            first = _last_of_run(ranges, near, above, i, -1, marks, thresholds)
+            end = _last_of_run(ranges, near, above, i, 1, marks, thresholds) + 1
             kind = _kind_of_run(
                 window_m,
                 k,
@@ -402,7 +417,7 @@ def find_columns(
                         kind_of_shot = SHORT
                     if kind_of_shot != 0 and np.float32(end - first) < thresholds.shots:
                         kind_of_shot = FEW_SHOTS
-                if marks[j] & FREE != 0 or kind >= MAST:
+                if marks[j] & FREE != 0 or (kind >= MAST and marks[j] != GAP):
                     is_fence = (
                         kind != 0
                         and kind != MAST

@@ -124,6 +124,8 @@ class ColumnThresholds(NamedTuple):
     """Least height above the ground of a shot that counts [m]."""
     jump_m: np.float32 = f32(0.5)
     """Greatest difference in range between adjacent shots of a thing [m]."""
+    reach: np.float32 = f32(1)
+    """Columns from one shot of a thing to the next, at most; 2 = single shots may miss it."""
     far_m: np.float32 = f32(1)
     """What is beside a thing is farther than it by more than this [m]."""
     shots: np.float32 = f32(6)
