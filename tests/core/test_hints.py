@@ -18,7 +18,7 @@ from prc_cli.core.hints import fitting, named_keys
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.open import open_input
 from tests.formats.bags import recordings as made
-from tests.formats.bags.test_times import cloud_messages, drive
+from tests.formats.bags.test_times import messages
 from tests.fuzz.seeds import seed
 from tests.fuzz.targets import suffix_of_seed
 
@@ -52,7 +52,7 @@ SAMPLES = (
 
 def make_sample(folder: Path, name: str) -> Path:
     if name == "cloud.bag":
-        return made.write_bag(folder / "cloud.bag", cloud_messages(drive(400)))
+        return made.write_bag(folder / "cloud.bag", messages(made.drive(400)))
     if name == "frame.bin":
         return make_frame(folder / "frame.bin")
     path = folder / f"sample{suffix_of_seed(name)}"

@@ -15,7 +15,7 @@ from prc_cli.formats.joined import JoinedInput, JoinedRecordings
 from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.drive import classify_drive
 from tests.formats.bags import recordings as bags
-from tests.formats.bags.test_times import cloud_messages, drive
+from tests.formats.bags.test_times import messages
 from tests.formats.packets import captures
 
 
@@ -37,7 +37,7 @@ def check_joined(whole: Path, parts: list[Path]) -> list[int]:
 
 
 def test_bags_of_one_drive(tmp_path: Path) -> None:
-    sent = cloud_messages(drive(800))
+    sent = messages(bags.drive(800))
     whole = bags.write_bag(tmp_path / "a.bag", sent)
     parts = [bags.write_bag(tmp_path / f"a_{k}.bag", sent[2 * k : 2 * k + 2]) for k in range(2)]
     n_first = sum(message.message.width for message in sent[:2])

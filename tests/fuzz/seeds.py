@@ -284,19 +284,8 @@ def _labels_csv() -> bytes:
 def _recorded(name: str) -> bytes:
     """A bag of every container: two scanners, and a topic that is not read."""
     from tests.formats.bags import recordings as made
-    from tests.formats.bags.test_read import drive, messages
 
-    dtype = np.dtype(
-        [
-            ("x", "<f4"),
-            ("y", "<f4"),
-            ("z", "<f4"),
-            ("intensity", "<f4"),
-            ("ring", "u1"),
-            ("t", "<u4"),
-        ]
-    )
-    clouds = messages(drive(60), dtype, every=20)
+    clouds = made.clouds(made.drive(60), made.kind_of("t", "u4", ring="u1"), every=20)
     stem, _, kind = name.partition(".")
     packing = "" if stem in ("plain", "cloud") else stem
     if kind == "bag":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,9 @@ N_LINES = 12
 M = 40
 PERIOD_NS = 20_000_000
 START_NS = 1_700_000_000 * 10**9
+CLOUD = "sensor_msgs/msg/PointCloud2"
+COLUMN_S = 5e-4
+"""From one firing of a spinning scanner to the next [s]; a turn takes 200."""
 STORES = {1: get_typestore(Stores.ROS1_NOETIC), 2: get_typestore(Stores.ROS2_HUMBLE)}
 
 
@@ -31,17 +35,12 @@ class Sent:
     message: Any
 
 
-def header(
-    store: Any,
-    time_ns: int,
-    frame: str,
-    sequence: int = 0,
-) -> Any:
+def header(store: Any, time_ns: int, frame: str) -> Any:
     types = store.types
     stamp = types["builtin_interfaces/msg/Time"](sec=time_ns // 10**9, nanosec=time_ns % 10**9)
     header_type = types["std_msgs/msg/Header"]
     return (
-        header_type(seq=sequence, stamp=stamp, frame_id=frame)
+        header_type(seq=0, stamp=stamp, frame_id=frame)
         if "seq" in header_type.__annotations__
         else header_type(stamp, frame)
     )
@@ -117,10 +116,11 @@ def lasers(
     ]
 
 
-def strings(version: int, topic: str = "/talk") -> list[Sent]:
+def strings(version: int) -> list[Sent]:
     kind = "std_msgs/msg/String"
     return [
-        Sent(topic, kind, START_NS + i, STORES[version].types[kind](data="hello")) for i in range(3)
+        Sent("/talk", kind, START_NS + i, STORES[version].types[kind](data="hello"))
+        for i in range(3)
     ]
 
 
@@ -179,7 +179,6 @@ def write_db3(
     sent: list[Sent],
     *,
     packed: bool = False,
-    little: bool = True,
 ) -> Path:
     """Write a database as rosbag2 does."""
     store = STORES[2]
@@ -197,7 +196,7 @@ def write_db3(
     for number, (topic, kind) in enumerate(names, 1):
         base.execute("INSERT INTO topics VALUES(?, ?, ?, 'cdr', '')", (number, topic, kind))
     for message in sorted(sent, key=lambda message: message.time_ns):
-        data = bytes(store.serialize_cdr(message.message, message.kind, little_endian=little))
+        data = bytes(store.serialize_cdr(message.message, message.kind))
         data = zstandard.compress(data) if packed else data
         number = names.index((message.topic, message.kind)) + 1
         base.execute(
@@ -215,7 +214,6 @@ def cloud(
     table: np.ndarray,
     *,
     height: int = 1,
-    frame: str = "velodyne",
 ) -> Any:
     """A ``PointCloud2`` of a structured array, with its fields and byte order."""
     types = STORES[version].types
@@ -230,5 +228,70 @@ def cloud(
     step = table.dtype.itemsize
     width = len(table) // height
     cloud_type = types["sensor_msgs/msg/PointCloud2"]
-    head = header(STORES[version], time_ns, frame)
+    head = header(STORES[version], time_ns, "velodyne")
     return cloud_type(head, height, width, fields, is_big, step, step * width, data, True)
+
+
+def kind_of(time: str, of_time: str, *, ring: str = "<u2", order: str = "<") -> np.dtype[Any]:
+    """Return the type of the points of a spinning scanner, whose times have a name and a type."""
+    types = dict.fromkeys(("x", "y", "z", "intensity"), "f4") | {"ring": ring, time: of_time}
+    return np.dtype(list(types.items())).newbyteorder(order)
+
+
+POINT = kind_of("t", "u4")
+
+
+def drive(n: int = 300, *, together: bool = False) -> dict[str, np.ndarray]:
+    """Return the shots of a scanner of 8 rings, which fire one after the other or together.
+
+    A fifth did not return.
+    """
+    rng = np.random.default_rng(5)
+    column, ring = (index.ravel() for index in np.indices((n, 8)))
+    range_m = rng.uniform(5, 6, n * 8)
+    range_m[rng.random(n * 8) < 0.2] = np.nan
+    order = np.array([0, 4, 1, 5, 2, 6, 3, 7])
+    time_s = COLUMN_S * column + (0.0 if together else 5e-5) * order[ring]
+    azimuth = time_s * 2 * np.pi / 0.1
+    elevation = np.deg2rad(-14 + 4 * ring)
+    flat = range_m * np.cos(elevation)
+    xyz = [flat * np.cos(azimuth), -flat * np.sin(azimuth), range_m * np.sin(elevation)]
+    xyz_m = np.stack(xyz, axis=1)
+    return {"column": column, "ring": ring, "range": range_m, "xyz": xyz_m, "time": time_s}
+
+
+def clouds(
+    shots: dict[str, np.ndarray],
+    kind: np.dtype[Any] = POINT,
+    *,
+    every: int = 100,
+    version: int = 2,
+    by_ring: bool = True,
+    pause_s: float = 0.0,
+    change: Callable[[np.ndarray, float], np.ndarray] | None = None,
+) -> list[Sent]:
+    """Return clouds of so many columns with the points that returned, ring after ring.
+
+    All but the first come later by a pause. ``change`` gets the points and the time of a cloud.
+    """
+    sent = []
+    for first in range(0, int(shots["column"].max()) + 1, every):
+        is_here = shots["column"] // every == first // every
+        use = np.flatnonzero(is_here & np.isfinite(shots["range"]))
+        if by_ring:
+            use = use[np.argsort(shots["ring"][use], kind="stable")]
+        points = np.zeros(len(use), kind)
+        for axis, name in enumerate("xyz"):
+            points[name] = shots["xyz"][use, axis]
+        points["ring"] = shots["ring"][use]
+        points["intensity"] = shots["column"][use] % 250
+        after_s = shots["time"][use] - first * COLUMN_S
+        if "t" in kind.fields:
+            points["t"] = np.rint(after_s * 1e9)
+        else:
+            points["time"] = after_s
+        stamp_ns = START_NS + round((first * COLUMN_S + (pause_s if first else 0.0)) * 1e9)
+        if change is not None:
+            points = change(points, stamp_ns * 1e-9)
+        sent.append(Sent("/points", CLOUD, stamp_ns, cloud(version, stamp_ns, points)))
+    return sent

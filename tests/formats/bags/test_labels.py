@@ -28,36 +28,25 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.classify import classify
 from tests.formats import common
 from tests.formats.bags import recordings as made
-from tests.formats.bags.test_read import drive, messages
 from tests.runner import runner
 
-POINT = [
-    ("x", "<f4"),
-    ("y", "<f4"),
-    ("z", "<f4"),
-    ("intensity", "<f4"),
-    ("ring", "<u2"),
-    ("t", "<u4"),
-]
 SENT: dict[str, Callable[[int], list[made.Sent]]] = {
     "lasers": lambda version: made.lasers(version),
     "echoes": lambda version: echoes(version),
-    "clouds": lambda version: clouds(version, POINT),
-    "packed clouds": lambda version: clouds(version, [*POINT, ("reflex", "u1")]),
-    "big clouds": lambda version: clouds(
-        version, [(name, kind.replace("<", ">")) for name, kind in POINT]
-    ),
+    "clouds": lambda version: clouds(version, made.POINT),
+    "packed clouds": lambda version: clouds(version, made.kind_of("t", "u4", ring="u1")),
+    "big clouds": lambda version: clouds(version, made.kind_of("t", "u4", order=">")),
     "mixed": lambda version: [
         *made.lasers(version, "/b"),
-        *clouds(version, POINT),
+        *clouds(version, made.POINT),
         *made.lasers(version, "/a", "other"),
     ],
 }
 WRITE = {".bag": made.write_bag, ".mcap": made.write_mcap, ".db3": made.write_db3}
 
 
-def clouds(version: int, point: list[tuple[str, str]]) -> list[made.Sent]:
-    return messages(drive(), np.dtype(point), version=version)
+def clouds(version: int, point: np.dtype[Any]) -> list[made.Sent]:
+    return made.clouds(made.drive(), point, version=version)
 
 
 def echoes(version: int) -> list[made.Sent]:
@@ -105,8 +94,8 @@ def write(source: Path, output: Path, *, seed: int = 1, **options: Any) -> U8:
     return codes
 
 
-def read_codes(path: Path, dimension: str | None = None) -> Any:
-    return np.concatenate(list(open_codes(path, dimension).codes()))
+def read_codes(path: Path) -> Any:
+    return np.concatenate(list(open_codes(path, None).codes()))
 
 
 def by_topic(path: Path) -> dict[str, list[tuple[int, bytes]]]:
@@ -144,7 +133,7 @@ def test_labels_read_back_equal_and_all_else_stays(tmp_path: Path, name: str, su
 
 
 def test_rows_lose_their_padding_and_a_label_of_the_input_its_values() -> None:
-    table = np.zeros(6, np.dtype([*POINT, ("label", "<u2")]))
+    table = np.zeros(6, np.dtype([*made.POINT.descr, ("label", "<u2")]))
     table["x"] = np.arange(6)
     table["label"] = 7
     message = made.cloud(2, 5, table, height=2)

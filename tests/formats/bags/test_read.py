@@ -64,17 +64,7 @@ def test_echoes_are_returns(tmp_path: Path) -> None:
 
 
 def test_clouds_and_laser_scans_are_read_together_but_for_scans_of_a_cloud(tmp_path: Path) -> None:
-    dtype = np.dtype(
-        [
-            ("x", "<f4"),
-            ("y", "<f4"),
-            ("z", "<f4"),
-            ("ring", "<u2"),
-            ("intensity", "<f4"),
-            ("t", "<u4"),
-        ]
-    )
-    sent = [*messages(drive(), dtype), *made.lasers(2), *made.lasers(2, "/of_cloud", "velodyne")]
+    sent = [*made.clouds(made.drive()), *made.lasers(2), *made.lasers(2, "/of_cloud", "velodyne")]
     stream, blocks = read(made.write_mcap(tmp_path / "mixed.mcap", sent))
     assert {block.scanner: block.points_per_line for block in blocks} == {0: 8, 1: made.M}
     assumptions = {
@@ -323,61 +313,6 @@ def test_packets_of_a_message_have_records_of_their_own(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.sort(records), np.arange(6 * 384))
 
 
-KIND = "sensor_msgs/msg/PointCloud2"
-
-
-def joined(path: Path, **changes: Any) -> ScanBlock:
-    return join(list(BagStream(path, InputConfig(**changes)).blocks()))
-
-
-def drive(n: int = 300, m: int = 8, seed: int = 5) -> dict[str, np.ndarray]:
-    """Shots of a scanner of 8 rings and 200 firings a turn; a fifth did not return."""
-    rng = np.random.default_rng(seed)
-    column, ring = (
-        index.ravel() for index in np.meshgrid(np.arange(n), np.arange(m), indexing="ij")
-    )
-    range_m = rng.uniform(5, 6, n * m)
-    range_m[rng.random(n * m) < 0.2] = np.nan
-    order = np.array([0, 4, 1, 5, 2, 6, 3, 7])
-    time_s = column * 5e-4 + order[ring] * 5e-5
-    azimuth = time_s * 2 * np.pi / 0.1
-    elevation = np.deg2rad(-14 + 4 * ring)
-    flat = range_m * np.cos(elevation)
-    xyz = np.stack(
-        [flat * np.cos(azimuth), -flat * np.sin(azimuth), range_m * np.sin(elevation)], axis=1
-    )
-    return {"column": column, "ring": ring, "range": range_m, "xyz": xyz, "time": time_s}
-
-
-def messages(
-    shots: dict[str, np.ndarray],
-    kinds: str,
-    *,
-    every: int = 100,
-    version: int = 2,
-) -> list[made.Sent]:
-    """Messages of 100 columns with the points that returned, ring after ring."""
-    sent = []
-    for first in range(0, int(shots["column"].max()) + 1, every):
-        use = (shots["column"] // every == first // every) & np.isfinite(shots["range"])
-        use = np.flatnonzero(use)[np.argsort(shots["ring"][use], kind="stable")]
-        start_ns = made.START_NS + round(first * 500_000)
-        table = np.zeros(len(use), np.dtype(kinds))
-        for axis, name in enumerate("xyz"):
-            table[name] = shots["xyz"][use, axis]
-        table["ring"] = shots["ring"][use]
-        table["intensity"] = shots["column"][use] % 250
-        after = shots["time"][use] - first * 5e-4
-        name = next(
-            field for field in ("time", "t", "timestamp") if field in (table.dtype.names or ())
-        )
-        table[name] = {"f4": after, "u4": np.rint(after * 1e9), "f8": after + start_ns * 1e-9}[
-            table.dtype[name].str[1:]
-        ]
-        sent.append(made.Sent("/points", KIND, start_ns, made.cloud(version, start_ns, table)))
-    return sent
-
-
 @pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["velodyne_vlp16", "OS-1-128_v2.3.0_1024x10_lb_n3"])
@@ -388,20 +323,16 @@ def test_a_cloud_has_the_cells_of_its_packets(real_data: Path, tmp_path: Path, n
     assert packets.time_s is not None
     line, ring = np.nonzero(np.isfinite(packets.range_m))
     time_s = packets.time_s[line, ring]
-    dtype = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("t", "<u4")])
-    sent = []
-    first_s = time_s.min()
-    turn = ((time_s - first_s) // 0.1).astype(int)
-    for number in range(turn.max() + 1):
-        use = turn == number
-        table = np.zeros(np.count_nonzero(use), dtype)
-        for axis, key in enumerate("xyz"):
-            table[key] = packets.xyz_m[line[use], ring[use], axis]
-        table["ring"] = ring[use]
-        table["t"] = np.rint((time_s[use] - first_s - 0.1 * number) * 1e9)
-        start_ns = made.START_NS + number * 100_000_000
-        sent.append(made.Sent("/points", KIND, start_ns, made.cloud(2, start_ns, table)))
-    block = joined(made.write_db3(tmp_path / "a.db3", sent))
+    since_s = time_s - time_s.min()
+    shots = {
+        "column": (since_s // made.COLUMN_S).astype(int),
+        "ring": ring,
+        "range": packets.range_m[line, ring],
+        "xyz": packets.xyz_m[line, ring],
+        "time": since_s,
+    }
+    sent = made.clouds(shots, every=200, by_ring=False)
+    block = join(read(made.write_db3(tmp_path / "a.db3", sent))[1])
     first = int(line.min())
     offset = [
         k for k in range(-30, 31) if _equal(block.range_m, packets.range_m[first:], k) > 0.999

@@ -9,48 +9,24 @@ from typing import Any
 import numpy as np
 import pytest
 
+from prc_cli.core.blocks import join
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.bags.read import BagStream
 from prc_cli.formats.options import InputConfig
 from tests.formats.bags import recordings as made
-from tests.formats.bags.test_read import KIND, drive, joined
-
-EVERY = 200
-"""Columns of a message: a turn."""
 
 
-def cloud_messages(
-    shots: dict[str, np.ndarray], table: Any = None, *, pause_s: float = 0.0
-) -> list[made.Sent]:
-    """A message a turn; ``table`` changes its points, all but the first come later by a pause."""
-    sent = []
-    dtype = [
-        ("x", "f4"),
-        ("y", "f4"),
-        ("z", "f4"),
-        ("intensity", "f4"),
-        ("ring", "u2"),
-        ("time", "f8"),
-    ]
-    for number, first in enumerate(range(0, int(shots["column"].max()) + 1, EVERY)):
-        use = np.flatnonzero((shots["column"] // EVERY == number) & np.isfinite(shots["range"]))
-        points = np.zeros(len(use), dtype)
-        for axis, name in enumerate("xyz"):
-            points[name] = shots["xyz"][use, axis]
-        points["ring"] = shots["ring"][use]
-        points["time"] = shots["time"][use] - first * 5e-4
-        stamp_ns = made.START_NS + round(first * 500_000 + (pause_s if number else 0.0) * 1e9)
-        points = points if table is None else table(points, stamp_ns * 1e-9)
-        sent.append(made.Sent("/points", KIND, stamp_ns, made.cloud(1, stamp_ns, points)))
-    return sent
+def messages(shots: dict[str, np.ndarray], change: Any = None, **options: Any) -> list[made.Sent]:
+    """A cloud a turn, in the order of the shots."""
+    kind = made.kind_of("time", "f8")
+    options |= {"every": 200, "version": 1, "by_ring": False}
+    return made.clouds(shots, kind, change=change, **options)
 
 
 def read_cloud(folder: Path, sent: list[made.Sent], **changes: Any) -> tuple[BagStream, ScanBlock]:
     path = made.write_bag(folder / "a.bag", sent)
     stream = BagStream(path, InputConfig(**changes))
-    from prc_cli.core.blocks import join
-
     return stream, join(list(stream.blocks()))
 
 
@@ -85,16 +61,16 @@ def in_unit(unit: float, kind: str, *, is_absolute: bool = False) -> Any:
     ],
 )
 def test_the_turn_shows_the_unit_of_the_times(tmp_path: Path, change: Any) -> None:
-    shots = drive(600)
-    _, block = read_cloud(tmp_path, cloud_messages(shots, change))
+    shots = made.drive(600)
+    _, block = read_cloud(tmp_path, messages(shots, change))
     np.testing.assert_allclose(block.range_m, shots["range"].reshape(600, 8), rtol=1e-5)
     assert block.time_s is not None
     assert np.ptp(block.time_s) == pytest.approx(0.3, abs=1e-3)
 
 
 def test_the_unit_may_be_told(tmp_path: Path) -> None:
-    shots = drive(400)
-    sent = cloud_messages(shots, in_unit(1e-6, "f4"))
+    shots = made.drive(400)
+    sent = messages(shots, in_unit(1e-6, "f4"))
     stream, block = read_cloud(tmp_path, sent, time_unit="us")
     np.testing.assert_allclose(block.range_m, shots["range"].reshape(400, 8), rtol=1e-5)
     assert "in us (input.time_unit)" in stream.info.facts.notes[0]
@@ -102,8 +78,8 @@ def test_the_unit_may_be_told(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("pause_s", [5.0, 80.0, 4000.0])
 def test_a_pause_is_lines_without_returns(tmp_path: Path, pause_s: float) -> None:
-    shots = drive(600)
-    stream, block = read_cloud(tmp_path, cloud_messages(shots, pause_s=pause_s))
+    shots = made.drive(600)
+    stream, block = read_cloud(tmp_path, messages(shots, pause_s=pause_s))
     wanted = shots["range"].reshape(600, 8)
     n = 1000 if pause_s > 50 else 10_000
     assert block.n_lines == 600 + n
@@ -112,14 +88,14 @@ def test_a_pause_is_lines_without_returns(tmp_path: Path, pause_s: float) -> Non
 
 
 def test_times_out_of_place_cost_only_their_own_points(tmp_path: Path) -> None:
-    shots = drive(800)
+    shots = made.drive(800)
     rng = np.random.default_rng(3)
 
     def late(points: np.ndarray, _: float) -> np.ndarray:
         points["time"][rng.random(len(points)) < 0.004] += 0.1
         return points
 
-    _, block = read_cloud(tmp_path, cloud_messages(shots, late))
+    _, block = read_cloud(tmp_path, messages(shots, late))
     wanted = shots["range"].reshape(800, 8)
     is_same = np.isclose(block.range_m[:800], wanted, rtol=1e-5) | np.isnan(wanted)
     assert is_same.mean() > 0.98
@@ -127,7 +103,7 @@ def test_times_out_of_place_cost_only_their_own_points(tmp_path: Path) -> None:
 
 
 def test_a_first_message_with_wild_times_does_not_end_the_drive(tmp_path: Path) -> None:
-    shots = drive(800)
+    shots = made.drive(800)
     number = iter(range(9))
 
     def wild(points: np.ndarray, _: float) -> np.ndarray:
@@ -135,14 +111,14 @@ def test_a_first_message_with_wild_times_does_not_end_the_drive(tmp_path: Path) 
             points["time"][len(points) * 7 // 10 :] += 3.6
         return points
 
-    _, block = read_cloud(tmp_path, cloud_messages(shots, wild))
+    _, block = read_cloud(tmp_path, messages(shots, wild))
     np.testing.assert_allclose(
         block.range_m[200:790], shots["range"].reshape(800, 8)[200:790], rtol=1e-5
     )
 
 
 def test_empty_points_may_have_no_time(tmp_path: Path) -> None:
-    shots = drive(400)
+    shots = made.drive(400)
     absolute = in_unit(1.0, "f8", is_absolute=True)
 
     def organised(points: np.ndarray, stamp_s: float) -> np.ndarray:
@@ -152,15 +128,15 @@ def test_empty_points_may_have_no_time(tmp_path: Path) -> None:
             filled[axis][len(points) :] = np.nan
         return filled
 
-    _, block = read_cloud(tmp_path, cloud_messages(shots, organised))
+    _, block = read_cloud(tmp_path, messages(shots, organised))
     np.testing.assert_allclose(block.range_m, shots["range"].reshape(400, 8), rtol=1e-5)
     assert block.tally.n_unplaced == 0
 
 
 def test_a_message_that_comes_twice_is_read_once_and_said(tmp_path: Path) -> None:
-    shots = drive(600)
-    sent = cloud_messages(shots)
-    again = cloud_messages(shots)
+    shots = made.drive(600)
+    sent = messages(shots)
+    again = messages(shots)
     for number, message in enumerate(again):
         message.message.header.seq = number + 7
     stream, block = read_cloud(tmp_path, [*sent, *again])
@@ -170,13 +146,13 @@ def test_a_message_that_comes_twice_is_read_once_and_said(tmp_path: Path) -> Non
 
 
 def test_points_without_times_lie_in_columns_of_their_azimuth(tmp_path: Path) -> None:
-    shots = drive(600)
+    shots = made.drive(600)
 
     def bare(points: np.ndarray, _: float) -> np.ndarray:
         names = ["x", "y", "z", "intensity", "ring"]
         return points[names].astype([(name, points.dtype[name]) for name in names])
 
-    stream, block = read_cloud(tmp_path, cloud_messages(shots, bare))
+    stream, block = read_cloud(tmp_path, messages(shots, bare))
     assert "have no times" in stream.info.facts.notes[0]
     assert abs(block.n_lines - 600) < 6
     assert (
@@ -200,9 +176,10 @@ def test_clouds_that_cannot_be_read_say_which_field_is_missing(
 ) -> None:
     kinds = [(name, "u1" if name in ("tag", "line") else "f4") for name in names]
     cloud = made.cloud(1, made.START_NS, np.ones(5, kinds))
-    path = made.write_bag(tmp_path / "a.bag", [made.Sent("/points", KIND, made.START_NS, cloud)])
+    sent = made.Sent("/points", made.CLOUD, made.START_NS, cloud)
+    path = made.write_bag(tmp_path / "a.bag", [sent])
     with pytest.raises(InputError, match=expected) as caught:
         BagStream(path, InputConfig())
     assert "not supported" in caught.value.hint
     with pytest.raises(InputError, match="not supported"):
-        joined(path, topic="/points")
+        BagStream(path, InputConfig(topic="/points"))
