@@ -3,14 +3,13 @@ format."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import laspy
 import numpy as np
 import pytest
 
-from prc_cli.core.classes import Label, Surface
+from prc_cli.core.classes import Surface
 from prc_cli.core.stream import LabelledBlock, StageLabels
 from prc_cli.formats.writing.columns import OutputConfig
 from tests.formats.common import URBAN, labelled, random_labels, write
@@ -21,72 +20,35 @@ LINES = 15
 M = 20
 N = LINES * M
 STAGES = OutputConfig(stages=True)
-NAMES = ["surface", "dense_vegetation", "ground_height", "trigger", "car_interval", "car_test"]
+Stages = dict[str, np.ndarray]
 NOTICE = "output.stages needs the fused, prc or sequential-angle method; nothing was added"
 
 
-@dataclass
-class Drive:
-    """A classified stream; the record of a cell is ``order`` at its place."""
-
-    blocks: list[LabelledBlock]
-    present: np.ndarray
-    surface: np.ndarray
-    dense: np.ndarray
-    height: np.ndarray
-    trigger: np.ndarray
-    interval: np.ndarray
-    test: np.ndarray
-
-    def columns(self) -> list[np.ndarray]:
-        return [self.surface, self.dense, self.height, self.trigger, self.interval, self.test]
-
-
-def drive(
-    *,
-    seed: int = 3,
-    order: np.ndarray | None = None,
-    missing: bool = False,
-    without: tuple[int, ...] = (),
-) -> Drive:
-    """Blocks of four lines; the blocks numbered in ``without`` have no stages."""
-    rng = np.random.default_rng(seed)
-    labels = random_labels(N, URBAN, seed).reshape(LINES, M)
-    if missing:
-        labels[rng.random((LINES, M)) < 0.3] = Label.MISSING
-    surface = rng.integers(0, 5, (LINES, M), dtype=np.uint8)
-    dense = rng.random((LINES, M)) < 0.4
+def drive(order: np.ndarray, *, has_stages: bool = True) -> tuple[list[LabelledBlock], Stages]:
+    """Return blocks of four lines, and their stages; ``order`` is the record of every cell."""
+    rng = np.random.default_rng(3)
+    shape = (LINES, M)
+    labels = random_labels(N, URBAN, 3).reshape(shape)
     height = np.repeat(rng.normal(-1.8, 0.1, (LINES, 1)), M, axis=1).astype(np.float32)
     height[5] = np.nan
-    trigger = rng.integers(0, 4, (LINES, M), dtype=np.uint8)
-    interval = rng.integers(0, 1 << 16, (LINES, M), dtype=np.uint16)
-    test = rng.integers(0, 7, (LINES, M), dtype=np.uint8)
+    dense = rng.random(shape) < 0.4
+    stages = {
+        "surface": rng.integers(0, 5, shape, dtype=np.uint8),
+        "dense_vegetation": dense,
+        "ground_height": height,
+        "trigger": rng.integers(0, 4, shape, dtype=np.uint8),
+        "car_interval": rng.integers(0, 1 << 16, shape, dtype=np.uint16),
+        "car_test": rng.integers(0, 7, shape, dtype=np.uint8),
+    }
     car_surface = np.where(dense, Surface.VEGETATION, Surface.HORIZONTAL).astype(np.uint8)
-    record = None if order is None else order.reshape(LINES, M)
     blocks = []
-    for number, first in enumerate(range(0, LINES, 4)):
+    for first in range(0, LINES, 4):
         rows = slice(first, first + 4)
-        stages: StageLabels | None = StageLabels(
-            surface[rows],
-            car_surface[rows],
-            height[rows],
-            trigger[rows],
-            interval[rows],
-            test[rows],
-        )
-        if number in without:
-            stages = None
-            surface[rows] = 0
-            dense[rows] = False
-            height[rows] = np.nan
-            trigger[rows] = 0
-            interval[rows] = 0
-            test[rows] = 0
-        record_of_rows = None if record is None else record[rows]
-        blocks.append(
-            labelled(labels[rows], first_line=first, record=record_of_rows, stages=stages)
-        )
-    return Drive(blocks, labels != Label.MISSING, surface, dense, height, trigger, interval, test)
+        columns = {**stages, "dense_vegetation": car_surface}.values()
+        kept = StageLabels(*(column[rows] for column in columns)) if has_stages else None
+        record = order.reshape(shape)[rows]
+        blocks.append(labelled(labels[rows], first_line=first, record=record, stages=kept))
+    return blocks, stages
 
 
 def same_bits(actual: np.ndarray, expected: np.ndarray) -> bool:
@@ -110,15 +72,15 @@ def test_rewritten_files_hold_them(
     output = tmp_path / f"out{after}"
     make_las(source, form, extra=extra)
     order = np.random.default_rng(8).permutation(N)
-    block = drive(order=order)
-    write(output, source, block.blocks, options=STAGES)
+    blocks, stages = drive(order)
+    write(output, source, blocks, options=STAGES)
     old = laspy.read(source)
     new = laspy.read(output)
     assert list(new.point_format.extra_dimension_names) == [
         *old.point_format.extra_dimension_names,
-        *NAMES,
+        *stages,
     ]
-    for name, expected in zip(NAMES, block.columns(), strict=True):
+    for name, expected in stages.items():
         assert same_bits(new[name][order], expected.ravel())
     for name in old.point_format.dimension_names:
         if name != "classification":
@@ -134,7 +96,7 @@ def test_a_method_without_stages_adds_nothing(tmp_path: Path, suffix: str, rewri
     if rewritten:
         source = tmp_path / "in.las"
         make_las(source, 6)
-    blocks = drive(without=(0, 1, 2, 3)).blocks
+    blocks, _ = drive(np.arange(N), has_stages=False)
     record = write(tmp_path / f"asked{suffix}", source, blocks, options=STAGES)
     write(tmp_path / f"plain{suffix}", source, blocks)
     if suffix == ".npy":
