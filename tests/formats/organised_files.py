@@ -94,8 +94,6 @@ class Scan:
 
 def e57_fields(
     points: Array,
-    first_row: int = 0,
-    first_column: int = 0,
     *,
     keep_missing: bool = False,
 ) -> dict[str, Array]:
@@ -114,8 +112,8 @@ def e57_fields(
         "cartesianY": flat[there, 1],
         "cartesianZ": flat[there, 2],
         "intensity": flat[there, 3],
-        "rowIndex": row[there] + first_row,
-        "columnIndex": column[there] + first_column,
+        "rowIndex": row[there],
+        "columnIndex": column[there],
     }
 
 

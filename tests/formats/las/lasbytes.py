@@ -146,7 +146,6 @@ def make_las(
     evlrs: Sequence[bytes] = (),
     user_bytes: bytes = b"",
     header_user_bytes: bytes = b"",
-    gap: bytes = b"",
     raw_points: bool = False,
 ) -> Parsed:
     """Write a LAS or LAZ file with laspy, then splice in what laspy cannot write.
@@ -201,7 +200,7 @@ def make_las(
         table = struct.unpack_from("<q", points)[0] + new_start - start
         points = struct.pack("<q", table) + points[8:]
     head[94:104] = struct.pack("<HII", len(head), new_start, len(every))
-    body = b"".join(every) + user_bytes + points + gap
+    body = b"".join(every) + user_bytes + points
     if evlrs:
         assert head[25] == 4
         head[235:247] = struct.pack("<QI", len(head) + len(body), len(evlrs))

@@ -11,6 +11,8 @@ import numpy as np
 
 SOURCE = bytes([10, 0, 0, 7])
 START_S = 1_700_000_000.25
+PACKET_S = 0.001327104
+"""From one packet to the next [s]."""
 
 
 def udp(payload: bytes, port: int = 2368) -> bytes:
@@ -82,13 +84,11 @@ def write_pcapng(path: Path, frames: list[tuple[float, bytes]], *, order: str = 
 def vlp16(
     n: int = 20,
     *,
-    seed: int = 3,
     model: int = 0x22,
     mode: int = 0x37,
-    start_us: int = 5_000_000,
 ) -> list[bytes]:
     """Packets of a VLP-16 that turns at 10 Hz; a tenth of the shots have no return."""
-    return velodyne(n, model, seed=seed, mode=mode, start_us=start_us, firings=2)
+    return velodyne(n, model, mode=mode, firings=2)
 
 
 BANKS = {0xA1: (0xEEFF, 0xDDFF, 0xCCFF, 0xBBFF), 0x40: (0xEEFF, 0xDDFF)}
@@ -186,11 +186,9 @@ def hesai(
 def framed(
     packets: list[bytes],
     port: int = 2368,
-    source: bytes = SOURCE,
-    step_s: float = 0.001327104,
 ) -> Any:
     return [
-        (START_S + i * step_s, ethernet(ip4(udp(packet, port), number=i, source=source)))
+        (START_S + i * PACKET_S, ethernet(ip4(udp(packet, port), number=i)))
         for i, packet in enumerate(packets)
     ]
 
@@ -211,15 +209,13 @@ METADATA = {
 }
 
 
-def ouster(
-    profile: str = "RNG19_RFL8_SIG16_NIR16", n_frames: int = 2
-) -> tuple[dict[str, Any], list[bytes]]:
+def ouster(profile: str = "RNG19_RFL8_SIG16_NIR16") -> tuple[dict[str, Any], list[bytes]]:
     """Metadata and packets: the range of a pixel is 1000 (frame + 1) + column + 200 row
     millimetres."""
     table = json.loads(json.dumps(METADATA))
     table["data_format"]["udp_profile_lidar"] = profile
     packets = []
-    for frame in range(n_frames):
+    for frame in range(2):
         for first in range(0, 128, 16):
             body = b""
             for number in range(first, first + 16):
