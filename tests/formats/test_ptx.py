@@ -203,16 +203,6 @@ def test_a_file_that_shrinks_while_it_is_read_is_an_error(tmp_path: Path) -> Non
         scans_of(stream)
 
 
-@pytest.mark.data
-def test_a_real_file_with_colour(real_data: Path) -> None:
-    stream = open_input(Input.of(real_data / "organised" / "1.2-with-color.ptx"), AUTO)
-    (block,) = scans_of(stream)
-    assert block.range_m.shape == (15, 71)
-    assert not np.isnan(block.range_m).any()
-    # an airborne strip in the frame of a scanner that was never there: read as it says
-    assert block.range_m.min() > 1e6
-
-
 def peak_bytes(path: Path) -> int:
     """Most memory held while a file is opened and read."""
     tracemalloc.start()

@@ -267,16 +267,3 @@ def test_an_archive_whose_member_does_not_hold_what_its_header_says(tmp_path: Pa
         with zipfile.ZipFile(tmp_path / "scan.npz", "w") as archive:
             archive.writestr("range_m.npy", change)
         assert message in refused(tmp_path / "scan.npz")
-
-
-@pytest.mark.data
-def test_a_real_scan(real_data: Path) -> None:
-    path = real_data / "forest" / "tls_park.npz"
-    stream = ArrayStream(path, AUTO)
-    assert (stream.info.n_lines, stream.info.points_per_line) == (581, 2089)
-    with np.load(path) as arrays:
-        np.testing.assert_array_equal(whole(stream).range_m, arrays["range_m"])
-        assert stream.info.angle_rad is not None
-        np.testing.assert_allclose(
-            np.rad2deg(stream.info.angle_rad), arrays["zenith_deg"], rtol=1e-6
-        )

@@ -3,7 +3,6 @@ get."""
 
 from __future__ import annotations
 
-import json
 import sqlite3
 import struct
 import sys
@@ -12,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.highlevel import AnyReader
 
 from prc_cli.cli import cli
 from prc_cli.core import process
@@ -189,48 +187,6 @@ def test_a_database_whose_pages_point_to_one_child(tmp_path: Path, table: str) -
         stream, blocks = read(path)
         assert "can be read up to message" in stream.info.facts.notes[0]
         assert join(blocks).n_lines == made.N_LINES
-
-
-@pytest.mark.slow
-@pytest.mark.data
-def test_the_laser_sample_is_what_rosbags_reads(real_data: Path, tmp_path: Path) -> None:
-    path = real_data / "ros" / "sick_lms1xx_ros1.bag"
-    (block,) = read(path)[1]
-    with AnyReader([path]) as reader:
-        chosen = [
-            connection
-            for connection in reader.connections
-            if connection.topic == "/sick_lms_1xx/scan"
-        ]
-        scans = [
-            reader.deserialize(raw, connection.msgtype)
-            for connection, _, raw in reader.messages(connections=chosen)
-        ]
-        counts = {connection.topic: connection.msgcount for connection in reader.connections}
-    ranges = np.stack([scan.ranges for scan in scans])
-    inside = (ranges >= scans[0].range_min) & (ranges <= scans[0].range_max)
-    assert ranges.shape == (89, 541)
-    np.testing.assert_array_equal(block.range_m, np.where(inside, ranges, np.nan))
-    lit = np.stack([scan.intensities for scan in scans])
-    np.testing.assert_array_equal(block.intensity, np.where(inside, lit, np.nan))
-    stamps = np.array([scan.header.stamp.sec + scan.header.stamp.nanosec * 1e-9 for scan in scans])
-    steps = np.array([scan.time_increment for scan in scans])
-    np.testing.assert_allclose(
-        block.time_s, stamps[:, None] + steps[:, None] * np.arange(541), atol=5e-7
-    )
-    assert float(np.mean(~inside)) == pytest.approx(0.129, abs=1e-3)
-    told_down = ("--set", "input.nadir=0")  # a room has a ceiling, too
-    told = runner().invoke(cli, ["info", "--json", str(path), "--method", "fused", *told_down])
-    info = json.loads(told.output)
-    assert info["classifiable"] is True
-    assert info["header"]["topic /sick_lms_1xx/scan"] == "sensor_msgs/LaserScan, 89 messages"
-    assert counts["/sick_lms_1xx/scan"] == 89
-    output = tmp_path / "labels.npy"
-    result = runner().invoke(
-        cli, ["classify", str(path), str(output), "--method", "fused", *told_down]
-    )
-    assert result.exit_code == 4, result.output  # it was recorded in a room
-    assert len(np.load(output)) == 89 * 541
 
 
 @pytest.mark.slow

@@ -190,24 +190,3 @@ def test_a_file_that_changes_while_it_is_read_is_an_error(tmp_path: Path) -> Non
         write_e57(path, [Scan(e57_fields(changed))])
         with pytest.raises(PrcError):
             scans_of(stream)
-
-
-@pytest.mark.data
-def test_a_real_scan(real_data: Path) -> None:
-    stream = open_input(Input.of(real_data / "organised" / "pumpA.e57"), AUTO)
-    assert any(
-        item.value == "not read: colorRed, colorGreen, colorBlue"
-        for item in stream.info.assumptions
-    )
-    (block,) = scans_of(stream)
-    assert block.range_m.shape == (345, 1074)
-    assert np.isfinite(block.range_m).sum() == stream.info.n_records == 155201
-    # the ends that the file's header says
-    assert np.nanmin(block.range_m) == pytest.approx(1.983619, abs=1e-5)
-    assert np.nanmax(block.range_m) == pytest.approx(5.429336, abs=1e-5)
-    assert block.xyz_m is not None
-    # vertical lines: along a column the elevation rises, the azimuth stays
-    elevation = np.arcsin(block.xyz_m[..., 2] / block.range_m)
-    assert np.nanmedian(np.diff(elevation, axis=1)) > 0
-    azimuth = np.arctan2(block.xyz_m[..., 1], block.xyz_m[..., 0])
-    assert np.nanmedian(np.abs(np.diff(azimuth, axis=1))) < 1e-3

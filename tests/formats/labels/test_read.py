@@ -94,13 +94,6 @@ def test_arrays_that_are_no_codes(tmp_path: Path, values: Any, message: str) -> 
     assert refused(path).startswith(f"codes.npy: {message}")
 
 
-@pytest.mark.data
-def test_real_labels(real_data: Path) -> None:
-    codes = read(real_data / "oakland" / "oakland_1.csv.gz")
-    assert len(codes) == 389 * 229
-    assert {1200, 1300, -1} <= set(codes)
-
-
 def test_rows_of_a_label_file_must_be_in_record_order(tmp_path: Path) -> None:
     path = tmp_path / "labels.csv"
     path.write_text("record,class,name\n0,2,ground\n1,6,building\n2,7,noise\n")

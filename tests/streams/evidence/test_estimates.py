@@ -69,24 +69,6 @@ def test_oakland(real_data: Path, number: int, m: int) -> None:
     )
 
 
-@pytest.mark.data
-def test_tls_park(real_data: Path) -> None:
-    # static scan: the scene leans, so the first peak stands at 2090; its multiples put that right
-    ranges = np.load(real_data / "forest" / "tls_park.npz")["range_m"]
-    assert ranges.shape[1] == 2089
-    assert estimate_points_per_line(ranges).points_per_line == 2089
-
-
-@pytest.mark.data
-def test_jakarto_is_too_short(real_data: Path) -> None:
-    recovered = np.load(real_data / "profiler" / "jakarto_0.02s_recovered.npz")
-    image = np.full((4, 5099), np.nan, np.float32)
-    image[recovered["line"], recovered["column"]] = recovered["range_m"]
-    estimate = estimate_points_per_line(image)
-    assert estimate.points_per_line is None
-    assert "too few lines" in estimate.reason
-
-
 def drive(
     line_hz: float,
     m: int,
