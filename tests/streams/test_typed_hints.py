@@ -8,22 +8,23 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
-import laspy
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from plyfile import PlyData, PlyElement
 
 from prc_cli.cli import main
 from prc_cli.streams.down import guess_down
+from tests.formats.builders import write_csv, write_las
+from tests.formats.cloud_files import ply
 from tests.simulated import drive_arrays
 
 LINES = 120
 M = 720
 LINE_HZ = 80.0
 METRES_A_LINE = 0.05
-Columns = dict[str, NDArray[np.float64]]
+Columns = dict[str, NDArray[Any]]
 
 pytestmark = pytest.mark.slow
 
@@ -39,8 +40,8 @@ def street() -> Columns:
     range_m = np.nan_to_num(block.range_m.ravel()).astype(np.float64)
     beam_rad = block.angle_rad[column] - down.down_rad
     return {
-        "scan_line": line.astype(np.float64),
-        "column": column.astype(np.float64),
+        "scan_line": line.astype(np.int32),
+        "column": column.astype(np.int32),
         "angle_deg": np.rad2deg(block.angle_rad)[column],
         "range": range_m,
         "time": (line * M + column) / (LINE_HZ * M),
@@ -50,49 +51,11 @@ def street() -> Columns:
     }
 
 
-def write_las(path: Path, columns: Columns) -> None:
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales = [0.001] * 3
-    extra = [name for name in columns if name not in ("x", "y", "z", "time")]
-    header.add_extra_dims(
-        [laspy.ExtraBytesParams(name, "u4" if name in WHOLE else "f4") for name in extra]
-    )
-    las = laspy.LasData(header)
-    n = len(columns["range"])
-    las.x, las.y, las.z = (columns.get(axis, np.zeros(n)) for axis in "xyz")
-    las.return_number = las.number_of_returns = np.ones(n, np.uint8)
-    if "time" in columns:
-        las.gps_time = columns["time"]
-    for name in extra:
-        las[name] = columns[name]
-    las.write(path)
-
-
-WHOLE = ("scan_line", "column")
-"""Columns of whole numbers."""
-
-
-def write_text(path: Path, columns: Columns) -> None:
-    formats = ["%d" if name in WHOLE else "%.7f" for name in columns]
-    np.savetxt(
-        path,
-        np.stack(list(columns.values()), axis=1),
-        fmt=formats,
-        delimiter=",",
-        header=",".join(columns),
-        comments="",
-    )
-
-
 def write_ply(path: Path, columns: Columns) -> None:
-    types = {"time": "f8", "scan_line": "i4", "column": "i4"}
-    table = np.empty(len(columns["range"]), [(name, types.get(name, "f4")) for name in columns])
-    for name, values in columns.items():
-        table[name] = values
-    PlyData([PlyElement.describe(table, "vertex")]).write(path)
+    path.write_bytes(ply(columns))
 
 
-WRITERS = {".las": write_las, ".csv": write_text, ".ply": write_ply}
+WRITERS = {".las": write_las, ".csv": write_csv, ".ply": write_ply}
 
 
 def without(columns: Columns, *names: str) -> Columns:

@@ -11,6 +11,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.open import open_input
+from tests.formats.builders import write_csv
 
 
 def write(path: Path, n_turns: int) -> Path:
@@ -20,13 +21,16 @@ def write(path: Path, n_turns: int) -> Path:
     elevation = np.deg2rad(2.0 * ring - 15)
     range_m = 8 + np.sin(3 * azimuth)
     flat = range_m * np.cos(elevation)
-    xyz = np.stack(
-        [flat * np.cos(azimuth), -flat * np.sin(azimuth), range_m * np.sin(elevation)], axis=1
+    return write_csv(
+        path,
+        {
+            "x": flat * np.cos(azimuth),
+            "y": -flat * np.sin(azimuth),
+            "z": range_m * np.sin(elevation),
+            "ring": ring,
+            "time": column / 3600 + ring * 2e-6,
+        },
     )
-    table = np.column_stack([xyz, ring, column / 3600 + ring * 2e-6])
-    formats = ["%.6f"] * 3 + ["%d", "%.9f"]
-    np.savetxt(path, table, delimiter=",", header="x,y,z,ring,time", comments="", fmt=formats)
-    return path
 
 
 def test_several_turns_are_named_and_the_hint_reads_them(tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ from prc_cli.streams.evidence.periods import estimate_points_per_line, measure_r
 from prc_cli.streams.evidence.place import MOST_LINES, SAMPLE_LINES, place_of, place_of_blocks
 from prc_cli.streams.evidence.reading import other_reading
 from prc_cli.streams.open import open_input
+from tests.formats.builders import of_points, write_las
 from tests.formats.cloud_files import Array
 from tests.methods.fused.street_lines import BEAM, street_lines
 
@@ -84,17 +85,6 @@ def drive(
     return ((line * m + column) / (line_hz * m) + 1000.0)[there], line[there], column[there]
 
 
-def las_of_times(path: Path, time: Array, xyz: Array) -> None:
-    header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales = np.full(3, 0.001)
-    header.offsets = np.round(xyz.mean(axis=0))
-    las = laspy.LasData(header)
-    las.x, las.y, las.z = xyz.T
-    las.gps_time = time
-    las.return_number[:] = las.number_of_returns[:] = 1
-    las.write(str(path))
-
-
 def test_info_lists_all_that_is_missing_and_its_command_does(tmp_path: Path) -> None:
     """Lines and columns come back as they were.
 
@@ -108,7 +98,7 @@ def test_info_lists_all_that_is_missing_and_its_command_does(tmp_path: Path) -> 
     xyz = np.stack([5 * time, range_m * np.sin(angle), 2 - range_m * np.cos(angle)], axis=1)
     path = tmp_path / "a.laz"
     track = tmp_path / "t.csv"
-    las_of_times(path, time, xyz)
+    write_las(path, of_points(xyz, time=time))
     track.write_text("time,x,y,z\n" + "".join(f"{t},{5 * t},0,2\n" for t in (999.0, 1001.0)))
     inspection = inspect(path, LoadedConfig(RunConfig()))
     assert inspection.missing == ("--range points",)

@@ -8,11 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import laspy
 import numpy as np
 import pyproj
 
 from prc_cli.core.types import F64
+from tests.formats.builders import of_points, write_csv, write_las
 
 LINES_HZ = 50.0
 SHOTS_HZ = 20_000.0
@@ -77,17 +77,9 @@ def write_cloud(
     metres: float = 1.0,
 ) -> Path:
     """Write coordinates and times alone, in the order of x; in units of some metres."""
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales = [0.001] * 3
-    header.offsets = np.floor(cloud.xyz_m.min(axis=0) / metres)
-    if epsg is not None:
-        header.add_crs(pyproj.CRS.from_epsg(epsg))
-    las = laspy.LasData(header)
     order = np.argsort(cloud.xyz_m[:, 0], kind="stable")
-    las.x, las.y, las.z = (cloud.xyz_m[order] / metres).T
-    las.gps_time = cloud.time_s[order]
-    las.write(path)
-    return path
+    columns = of_points(cloud.xyz_m[order] / metres, time=cloud.time_s[order])
+    return write_las(path, columns, None if epsg is None else pyproj.CRS.from_epsg(epsg))
 
 
 def write_trajectory(
@@ -98,6 +90,5 @@ def write_trajectory(
     moved_m: tuple[float, ...] = (0, 0, 0),
 ) -> Path:
     """Write the true path with another clock, elsewhere."""
-    rows = np.column_stack([cloud.path_s + clock_s, cloud.path_m + np.array(moved_m)])
-    np.savetxt(path, rows, delimiter=",", header="time,x,y,z", comments="", fmt="%.6f")
-    return path
+    xyz_m = cloud.path_m + np.array(moved_m)
+    return write_csv(path, {"time": cloud.path_s + clock_s, **of_points(xyz_m)})

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
-import laspy
 import numpy as np
 import pytest
 
@@ -16,6 +15,7 @@ from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.errors import PrcError
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.simulation.settings import load_settings, open_simulation
+from tests.formats.builders import of_points, write_csv, write_las
 from tests.profiler import placed
 
 N_LINES = 160
@@ -82,15 +82,7 @@ def both(first: Cloud, second: Cloud) -> Cloud:
 
 def write(path: Path, cloud: Cloud) -> Path:
     """Write coordinates and times alone."""
-    las = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
-    las.header.scales = np.full(3, 0.001)
-    las.header.offsets = np.floor(cloud.xyz_m.min(axis=0))
-    las.x, las.y, las.z = cloud.xyz_m.T
-    las.gps_time = cloud.time_s
-    las.return_number[:] = 1
-    las.number_of_returns[:] = 1
-    las.write(path)
-    return path
+    return write_las(path, of_points(cloud.xyz_m, time=cloud.time_s))
 
 
 def from_points() -> LoadedConfig:
@@ -177,7 +169,6 @@ def test_what_cannot_be_right_is_refused_or_doubted(
 
 def test_a_cloud_without_times_is_refused(tmp_path: Path) -> None:
     cloud = drive()
-    path = tmp_path / "cloud.csv"
-    np.savetxt(path, cloud.xyz_m, "%.3f", delimiter=",", header="x,y,z", comments="")
+    path = write_csv(tmp_path / "cloud.csv", of_points(cloud.xyz_m))
     with pytest.raises(PrcError, match="time"):
         placed(path, from_points(), len(cloud.time_s))

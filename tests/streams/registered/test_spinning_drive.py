@@ -13,35 +13,23 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.streams.open import open_input
 from prc_cli.streams.registered.scanner_paths import scanner_paths
 from prc_cli.streams.registered.spinning_drive import judge_rings
-from tests.streams.registered.spinning_clouds import Cloud, spinning_cloud, station
+from tests.formats.builders import of_points, write_csv
+from tests.streams.registered.spinning_clouds import spinning_cloud, station
 
 EVEN = np.arange(-15.0, 16.0, 2.0)
 AHEAD = np.array([1.2, -1.2, 3.6, -3.6] * 4)
 
 
-def write(points: Cloud, path: Path) -> None:
-    """Write times and coordinates, in the order of x."""
-    order = np.argsort(points.xyz_m[:, 0])
-    table = np.column_stack([points.time_s, points.xyz_m])[order]
-    np.savetxt(
-        path,
-        table,
-        fmt=["%.9f", "%.3f", "%.3f", "%.3f"],
-        delimiter=",",
-        header="time,x,y,z",
-        comments="",
-    )
-
-
 def test_a_shuffled_cloud_becomes_lines_of_firings_and_columns_of_rings(tmp_path: Path) -> None:
     points = spinning_cloud(EVEN, AHEAD, duration_s=0.6)
-    write(points, tmp_path / "cloud.csv")
-    stream = open_input(Input.of(tmp_path / "cloud.csv"), InputConfig(range="points"))
+    order = np.argsort(points.xyz_m[:, 0])
+    columns = of_points(points.xyz_m[order], time=points.time_s[order])
+    path = write_csv(tmp_path / "cloud.csv", columns)
+    stream = open_input(Input.of(path), InputConfig(range="points"))
     blocks: list[ScanBlock] = list(stream.blocks())
     range_m = np.concatenate([block.range_m for block in blocks])
     record = np.concatenate([block.record for block in blocks])
     assert stream.info.points_per_line == 16
-    order = np.argsort(points.xyz_m[:, 0])
     line, column = np.nonzero(record >= 0)
     place = order[record[line, column]]
     assert len(place) > 0.995 * len(points.time_s)
