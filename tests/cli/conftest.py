@@ -30,10 +30,11 @@ class Prc:
     def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
         self._capsys = capsys
 
-    def __call__(self, *arguments: object) -> Result:
+    def __call__(self, line: str, *arguments: object) -> Result:
+        """Run a command line, its words followed by further arguments as they are."""
         self._capsys.readouterr()
         with pytest.raises(SystemExit) as stop:
-            main([str(argument) for argument in arguments])
+            main([*line.split(), *(str(argument) for argument in arguments)])
         captured = self._capsys.readouterr()
         check_messages(captured.err)
         code = stop.value.code

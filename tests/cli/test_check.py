@@ -52,24 +52,24 @@ def answer(page: Path, target: Path, wrong: int = 0, person: str = "") -> None:
 
 
 def test_drawn_answered_and_evaluated(prc: Prc, folder: Path) -> None:
-    drawn = prc("check", "drive.npz", "--labels", "labels.npy", "--shots", "100")
+    drawn = prc("check drive.npz --labels labels.npy --shots 100")
     assert drawn.code == 0, drawn.err
     assert "prc evaluate labels.npy labels_answers.json" in drawn.err
     assert "building" in drawn.out
     answer(Path("labels_check.html"), Path("labels_answers.json"), wrong=5)
-    result = prc("evaluate", "labels.npy", "labels_answers.json")
+    result = prc("evaluate labels.npy labels_answers.json")
     assert result.code == 0, result.err
     assert "accuracy 0.9" in result.out
     assert "from 100 answers" in result.out
 
-    table = json.loads(prc("evaluate", "labels.npy", "labels_answers.json", "--json").out)
+    table = json.loads(prc("evaluate labels.npy labels_answers.json --json").out)
     assert table["n_answers"] == 100
     assert len(table["differences"]) == 5
     accuracy = table["scores"]["accuracy"]
     assert accuracy["low"] < accuracy["value"] < accuracy["high"]
 
     outputs = ("-o", "a.csv", "-o", "a.md", "-o", "a.json", "-o", "a.html")
-    assert prc("evaluate", "labels.npy", "labels_answers.json", "-q", *outputs).code == 0
+    assert prc("evaluate labels.npy labels_answers.json -q", *outputs).code == 0
     rows = list(csv.DictReader(Path("a.csv").read_text(encoding="utf-8").splitlines()))
     assert float(rows[0]["value"]) == pytest.approx(accuracy["value"], abs=1e-6)
     assert "| ground" in Path("a.md").read_text(encoding="utf-8")
@@ -89,15 +89,15 @@ def test_missing_shots_of_a_table_have_no_coordinates(prc: Prc, folder: Path) ->
         seen = f"{range_m:.3f},{0.1 * line:.3f},{across_m:.3f},{-up_m:.3f}"
         rows.append(f"{line},{column},{angle_deg:.3f}," + (seen if range_m > 0 else ",,,"))
     Path("drive.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    drawn = prc("check", "drive.csv", "c.html", "--labels", "labels.npy", "--shots", "50")
+    drawn = prc("check drive.csv c.html --labels labels.npy --shots 50")
     assert drawn.code == 0, drawn.err
 
 
 def test_two_persons(prc: Prc, folder: Path) -> None:
-    assert prc("check", "drive.npz", "c.html", "--labels", "labels.npy", "--shots", "50").code == 0
+    assert prc("check drive.npz c.html --labels labels.npy --shots 50").code == 0
     answer(Path("c.html"), Path("ada.json"), person="Ada")
     answer(Path("c.html"), Path("ben.json"), wrong=5, person="Ben")
-    result = prc("evaluate", "labels.npy", "ada.json", "ben.json")
+    result = prc("evaluate labels.npy ada.json ben.json")
     assert "Ada and Ben agree on 90.0% of 50 places" in result.out
     assert "from 50 answers" in result.out
 
@@ -106,14 +106,14 @@ def test_answers_to_other_shots_count_together(prc: Prc, folder: Path) -> None:
     for seed in ("0", "1"):
         page = f"{seed}.html"
         options = ("--labels", "labels.npy", "--shots", "50", "--seed", seed)
-        assert prc("check", "drive.npz", page, *options).code == 0
+        assert prc(f"check drive.npz {page}", *options).code == 0
         answer(Path(page), Path(f"{seed}.json"))
-    result = prc("evaluate", "labels.npy", "0.json", "1.json", "--json")
+    result = prc("evaluate labels.npy 0.json 1.json --json")
     assert 90 < json.loads(result.out)["n_answers"] <= 100
 
 
 def test_what_is_refused(prc: Prc, folder: Path) -> None:
-    assert prc("check", "drive.npz", "c.html", "--labels", "labels.npy", "--shots", "50").code == 0
+    assert prc("check drive.npz c.html --labels labels.npy --shots 50").code == 0
     answer(Path("c.html"), Path("a.json"))
     evaluate = ("evaluate", "labels.npy", "a.json")
     gate = prc(*evaluate, "--fail-under", "recall.tree=0.5")
@@ -126,5 +126,5 @@ def test_what_is_refused(prc: Prc, folder: Path) -> None:
     other = prc(*evaluate)
     assert other.code == 1
     assert "a file labels.npy with other content" in other.err
-    existing = prc("check", "drive.npz", "c.html", "--labels", "labels.npy")
+    existing = prc("check drive.npz c.html --labels labels.npy")
     assert existing.code == 2

@@ -54,7 +54,7 @@ def test_options_reach_the_classifier(prc: Prc, tmp_path: Path) -> None:
         layout,
     ]
     options += ["-M", POINTS_PER_LINE]
-    result = prc("classify", source, tmp_path / "out.las", "--json", "-q", *options)
+    result = prc(f"classify {source} {tmp_path}/out.las --json -q", *options)
     config = json.loads(result.out)["config"]
     assert config["prc"]["support"]["zeta_p"] == 0.25
     assert config["output"]["segment_ids"] is True
@@ -74,7 +74,7 @@ def test_info_types_the_m_that_it_found(
     """Where the number of records speaks against M, or none is given, the command to type has the
     estimate."""
     source = write_raw(tmp_path / "drive.bin", street())
-    result = prc("info", source, "--json", *options)
+    result = prc(f"info {source} --json", *options)
     printed = json.loads(result.out)
     assert (result.code, printed["classifiable"]) == (
         0,
@@ -95,13 +95,13 @@ def test_info_doubts_what_classify_doubts_where_heights_explain_it(
     """
     made = tmp_path / "drive.laz"
     feet = tmp_path / "feet.laz"
-    assert prc("simulate", "street", made, "--lines", 60, "--seed", 72, "-q").code == 0
+    assert prc(f"simulate street {made} --lines 60 --seed 72 -q").code == 0
     points = laspy.read(made)
     points["range"] = points["range"] / 0.3048
     points.write(feet)
-    printed = json.loads(prc("info", feet, "--json").out)
+    printed = json.loads(prc(f"info {feet} --json").out)
     assert printed["doubts"] == ["units", "method"]
-    assert prc("classify", feet, tmp_path / "o.npy", "-q").code == 4
+    assert prc(f"classify {feet} {tmp_path}/o.npy -q").code == 4
     assert "--set input.range_scale=0.3048" in printed["command"]
     assert prc(*printed["command"].split()[1:], "-q").code == 0
 
@@ -112,7 +112,7 @@ def test_info_types_no_command_that_would_be_refused(prc: Prc, tmp_path: Path) -
     image[np.isnan(image)] = 500.0
     np.random.default_rng(3).shuffle(image)
     source = write_raw(tmp_path / "drive.bin", image.reshape(N_LINES, POINTS_PER_LINE))
-    printed = json.loads(prc("info", source, "--json", "-M", POINTS_PER_LINE).out)
+    printed = json.loads(prc(f"info {source} --json -M {POINTS_PER_LINE}").out)
     assert set(printed["doubts"]) >= {"missing-code", "shot-order"}
     assert printed["command"] == ""
 
@@ -120,7 +120,7 @@ def test_info_types_no_command_that_would_be_refused(prc: Prc, tmp_path: Path) -
 def test_info_goes_on_after_a_bad_file(prc: Prc, tmp_path: Path) -> None:
     source = write_npz(tmp_path / "drive.npz", street())
     none = tmp_path / "none.bin"
-    result = prc("info", none, source, "--json")
+    result = prc(f"info {none} {source} --json")
     reports = json.loads(result.out)
     assert result.code == 1
     assert "no such file" in reports[0]["error"]
@@ -138,7 +138,7 @@ def test_info_goes_on_after_a_bad_file(prc: Prc, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     folder = tmp_path / "demo"
-    result = prc("demo", "--all", "--output", folder, "--lines", "200", "--json", "--quiet")
+    result = prc(f"demo --all --output {folder} --lines 200 --json --quiet")
     assert result.code == 0, result.err
     evaluation = json.loads(result.out)
     # found: .89, .996, .88 and .95; .98 and .58; .99, .86 and .38; with seed 1 .88, .90 and .91 in
@@ -176,10 +176,10 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     viewer = (folder / "street.html").read_text(encoding="utf-8")
     assert "height_above_ground" in viewer
     assert "no trajectory" not in viewer
-    result = prc("demo", "--output", folder)
+    result = prc(f"demo --output {folder}")
     assert result.code == 2
     assert "the folder contains files" in result.err
-    result = prc("demo", "--output", folder, "--lines", "100", "--json", "--overwrite")
+    result = prc(f"demo --output {folder} --lines 100 --json --overwrite")
     assert list(json.loads(result.out)) == ["default"]
     assert result.err.splitlines()[-1] == "next, with your own file: prc info FILE"
 
@@ -196,15 +196,13 @@ def test_files_that_a_run_reads_are_never_its_output(prc: Prc, tmp_path: Path) -
     source = write_npz(tmp_path / "drive.npz", street())
     config = tmp_path / "run.csv"
     config.write_text("[prc.surfaces]\ngamma = 1\n")
-    result = prc("classify", source, config, "--config", config, "--overwrite")
+    result = prc(f"classify {source} {config} --config {config} --overwrite")
     assert result.code == 2
     assert "the output is the input itself" in result.err
-    prc("classify", source, tmp_path / "drive.las")
+    prc(f"classify {source} {tmp_path}/drive.las")
     track = tmp_path / "track.csv"
     track.write_text("time,x,y,z\n0,0,0,0\n1,0,0,0\n")
-    result = prc(
-        "classify", tmp_path / "drive.las", track, "--overwrite", "--range", f"trajectory:{track}"
-    )
+    result = prc(f"classify {tmp_path}/drive.las {track} --overwrite --range trajectory:{track}")
     assert result.code == 2
     assert "the output is the input itself" in result.err
     assert track.read_text().startswith("time,x,y,z")
@@ -216,12 +214,12 @@ def test_a_trajectory_starts_where_it_was_named(
     (tmp_path / "conf").mkdir()
     (tmp_path / "conf" / "run.toml").write_text('[input]\nrange = "trajectory:track.csv"\n')
     monkeypatch.chdir(tmp_path)
-    shown = json.loads(prc("config", "show", "--config", "conf/run.toml", "--json").out)
+    shown = json.loads(prc("config show --config conf/run.toml --json").out)
     assert (
         Path(shown["config"]["input"]["range"].partition(":")[2]) == tmp_path / "conf" / "track.csv"
     )
     option = ["--range", "trajectory:track.csv"]
-    shown = json.loads(prc("config", "show", "--config", "conf/run.toml", "--json", *option).out)
+    shown = json.loads(prc("config show --config conf/run.toml --json", *option).out)
     assert shown["config"]["input"]["range"] == "trajectory:track.csv"
 
 
@@ -229,24 +227,24 @@ def test_signs_of_wrong_rules_are_warned_of(prc: Prc, tmp_path: Path) -> None:
     rows = [f"{line},{column},{5 + column / 100}" for line in range(20) for column in range(30)]
     source = tmp_path / "drive.csv"
     source.write_text("\n".join(["scan_line,column,range", *rows]) + "\n")
-    assert "warning" not in prc("classify", source, tmp_path / "a.npy").err
-    result = prc("classify", source, tmp_path / "b.npy", "-M", "27", "-q")
+    assert "warning" not in prc(f"classify {source} {tmp_path}/a.npy").err
+    result = prc(f"classify {source} {tmp_path}/b.npy -M 27 -q")
     assert result.err.startswith("warning: unplaced: 10.0% of the records have no cell")
     assert (result.code, np.load(tmp_path / "b.npy").size) == (4, 600)
-    result = prc("classify", source, tmp_path / "b2.npy", "-M", "20")
+    result = prc(f"classify {source} {tmp_path}/b2.npy -M 20")
     assert (result.code, (tmp_path / "b2.npy").exists()) == (1, False)
     assert "33.3% of the records have no cell" in result.err
     assert "to accept it: --accept-doubt unplaced" in result.err
-    result = prc("classify", source, tmp_path / "b2.npy", "-M", "20", "--accept-doubt", "unplaced")
+    result = prc(f"classify {source} {tmp_path}/b2.npy -M 20 --accept-doubt unplaced")
     assert (result.code, np.load(tmp_path / "b2.npy").size) == (0, 600)
     assert "warning" not in result.err
     source.write_text("\n".join(["scan_line,column,range", *rows, *rows[-60:]]) + "\n")
     assert (
         "9.1% of the records are in the cell of another shot"
-        in prc("classify", source, tmp_path / "c.npy", "--trust-order").err
+        in prc(f"classify {source} {tmp_path}/c.npy --trust-order").err
     )
     source.write_text("scan_line,column,range\n" + "".join(f"{n},0,\n{n},1,\n" for n in range(90)))
-    result = prc("classify", source, tmp_path / "d.npy", "-q")
+    result = prc(f"classify {source} {tmp_path}/d.npy -q")
     assert (result.code, "warning: returns: 0.00% of the shots have a range" in result.err) == (
         4,
         True,
@@ -254,14 +252,14 @@ def test_signs_of_wrong_rules_are_warned_of(prc: Prc, tmp_path: Path) -> None:
     source.write_text(
         "scan_line,column,range\n" + "".join(f"{n},0,6650338\n{n},1,6650339\n" for n in range(90))
     )
-    result = prc("classify", source, tmp_path / "e.npy", "-q")
+    result = prc(f"classify {source} {tmp_path}/e.npy -q")
     assert (result.code, "100.00% of the ranges are beyond 20 km" in result.err) == (1, True)
 
 
 def test_what_speaks_against_a_stream_is_told_and_it_is_converted(prc: Prc, tmp_path: Path) -> None:
     shuffled = np.random.default_rng(3).permuted(street(), axis=1)
     source = write_npz(tmp_path / "shuffled.npz", shuffled)
-    result = prc("convert", source, tmp_path / "out.npy", "--json", "-q")
+    result = prc(f"convert {source} {tmp_path}/out.npy --json -q")
     assert (
         result.code,
         np.array_equal(np.load(tmp_path / "out.npy"), shuffled, equal_nan=True),
@@ -272,7 +270,7 @@ def test_what_speaks_against_a_stream_is_told_and_it_is_converted(prc: Prc, tmp_
     assert any(notice.startswith("doubt shot-order: ") for notice in record["notices"])
     names = [doubt["check"] for doubt in record["doubts"]]
     options = [part for name in names for part in ("--accept-doubt", name)]
-    result = prc("convert", source, tmp_path / "out.npy", "--overwrite", "-q", *options)
+    result = prc(f"convert {source} {tmp_path}/out.npy --overwrite -q", *options)
     assert (result.code, result.err) == (0, "")
 
 
@@ -419,12 +417,12 @@ def test_a_profile_is_part_of_the_json_and_not_of_the_record(
 def test_outputs_are_whole_or_not_there(prc: Prc, tmp_path: Path) -> None:
     source = write_npz(tmp_path / "street.npz", street())
     (tmp_path / "old.toml").write_text("", encoding="utf-8")
-    result = prc("calibrate", source, "-o", tmp_path / "old.toml")
+    result = prc(f"calibrate {source} -o {tmp_path}/old.toml")
     assert result.code == 2
     assert "exists already" in result.err
-    assert prc("calibrate", source, "-o", tmp_path / "old.toml", "--overwrite", "-q").code == 0
+    assert prc(f"calibrate {source} -o {tmp_path}/old.toml --overwrite -q").code == 0
     assert load_config(tmp_path / "old.toml").sources
-    result = prc("calibrate", source, "-o", source, "--overwrite")
+    result = prc(f"calibrate {source} -o {source} --overwrite")
     assert result.code == 2
     assert "inputs are never modified" in result.err
 
@@ -432,7 +430,7 @@ def test_outputs_are_whole_or_not_there(prc: Prc, tmp_path: Path) -> None:
 def test_wrong_options(prc: Prc, tmp_path: Path) -> None:
     source = write_npz(tmp_path / "street.npz", street())
     for options, message in ((["-o", tmp_path / "curves.png"], "expected one of: .toml .svg"),):
-        result = prc("calibrate", source, *options)
+        result = prc(f"calibrate {source}", *options)
         assert result.code == 2
         assert message in result.err
 
@@ -450,14 +448,14 @@ def test_a_file_is_written_into_a_folder(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sub").mkdir()
     drive = write_raw(tmp_path / "drive.bin", street())
-    result = prc("classify", drive, output, "-M", POINTS_PER_LINE, "--accept-doubt", "few-lines")
+    result = prc(f"classify {drive} {output} -M {POINTS_PER_LINE} --accept-doubt few-lines")
     assert result.code in (0, 4), result.err
     assert len(np.load(tmp_path / output / "drive.bin.labels.npy")) == street().size
 
 
 def test_an_empty_name_is_no_output(prc: Prc, tmp_path: Path) -> None:
     drive = write_raw(tmp_path / "drive.bin", street())
-    result = prc("classify", drive, "", "-M", POINTS_PER_LINE)
+    result = prc(f"classify {drive}", "", "-M", POINTS_PER_LINE)
     assert result.code == 2
     assert "the name is empty; give the name of a file" in result.err
     assert list(tmp_path.iterdir()) == [drive]
@@ -477,15 +475,13 @@ def test_a_layout_that_a_format_has_no_use_for_is_refused(prc: Prc, tmp_path: Pa
         assert result.code == 2
         assert said in result.err
     np.savez(image, range_m=1000 * street())
-    result = prc("classify", image, tmp_path / "o.npy", "--set", "input.range_scale=0.001", "-v")
+    result = prc(f"classify {image} {tmp_path}/o.npy --set input.range_scale=0.001 -v")
     assert result.code in (0, 4)
     assert "input.range_scale" in result.err
     dump = write_raw(tmp_path / "drive.bin", street())
     assert (
         "not used"
-        not in prc(
-            "classify", dump, tmp_path / "p.npy", "--layout", layout, "-M", POINTS_PER_LINE
-        ).err
+        not in prc(f"classify {dump} {tmp_path}/p.npy --layout {layout} -M {POINTS_PER_LINE}").err
     )
 
 
@@ -507,24 +503,24 @@ def test_a_folder_and_what_lies_beside_a_scan_name_the_file_to_give(
 ) -> None:
     bag = tmp_path / "bag"
     bag.mkdir()
-    assert "this folder itself has no scan" in prc("info", bag).err
+    assert "this folder itself has no scan" in prc(f"info {bag}").err
     (bag / "bag_0.db3").write_bytes(b"SQLite format 3\0")
-    assert "name a file in it" in prc("info", bag).err
+    assert "name a file in it" in prc(f"info {bag}").err
     (bag / "metadata.yaml").write_text("rosbag2_bagfile_information:\n")
-    assert f"{bag / 'bag_0.db3'}: found no SQLite header" in prc("info", bag).err
+    assert f"{bag / 'bag_0.db3'}: found no SQLite header" in prc(f"info {bag}").err
     assert output_for(bag / "bag_0.db3") == tmp_path / "bag_labels.npy"
     monkeypatch.chdir(bag)  # which may be named by a dot
     assert output_for(Path("bag_0.db3")).resolve() == tmp_path / "bag_labels.npy"
-    assert prc("info", bag / "metadata.yaml").err.endswith(
+    assert prc(f"info {bag}/metadata.yaml").err.endswith(
         f"name the file beside it, {bag / 'bag_0.db3'}\n"
     )
     (bag / "bag_1.db3").write_bytes(b"SQLite format 3\0")
-    assert prc("info", bag).err.endswith(f"bag_0.db3, or {bag / 'bag_1.db3'}\n")
+    assert prc(f"info {bag}").err.endswith(f"bag_0.db3, or {bag / 'bag_1.db3'}\n")
     drive = write_raw(tmp_path / "drive.bin", street())
-    assert prc("info", tmp_path).err.endswith(f"name a file in it, for example {drive}\n")
+    assert prc(f"info {tmp_path}").err.endswith(f"name a file in it, for example {drive}\n")
     (tmp_path / "os.json").write_text("{}")
     (tmp_path / "os.pcap").write_bytes(b"x")
-    assert prc("info", tmp_path / "os.json").err.endswith(
+    assert prc(f"info {tmp_path}/os.json").err.endswith(
         f"name the capture beside it, {tmp_path / 'os.pcap'}\n"
     )
 
@@ -532,9 +528,7 @@ def test_a_folder_and_what_lies_beside_a_scan_name_the_file_to_give(
 def test_only_a_frame_is_read_as_a_frame(prc: Prc, tmp_path: Path) -> None:
     frame = np.stack([*frame_xyz(), np.full(64 * 900, 0.3)], axis=1).astype("<f4")
     frame.tofile(tmp_path / "frame.bin")
-    result = prc(
-        "classify", tmp_path / "frame.bin", tmp_path / "frame.laz", "--accept-doubt", "ground-below"
-    )
+    result = prc(f"classify {tmp_path}/frame.bin {tmp_path}/frame.laz --accept-doubt ground-below")
     assert "look like x, y, z and intensity of a frame" in result.err
     assert "points are in the order of the shots" in result.err
     assert "compare it" not in result.err
@@ -546,7 +540,7 @@ def test_only_a_frame_is_read_as_a_frame(prc: Prc, tmp_path: Path) -> None:
         tmp_path / "other.bin",
         tmp_path / "third.bin",
     ):
-        refused = prc("classify", path, tmp_path / "labels.npy")
+        refused = prc(f"classify {path} {tmp_path}/labels.npy")
         assert refused.code == 1
         assert "no scan lines" in refused.err
 
@@ -576,7 +570,7 @@ def test_options_of_simulate_win_over_set_and_file(prc: Prc, tmp_path: Path) -> 
         "trajectory.speed_m_s=2",
     )
     result = prc(
-        "simulate", "street", tmp_path / "a.npz", *options, "--set", "sight_m=20", "--json", "-q"
+        f"simulate street {tmp_path}/a.npz", *options, "--set", "sight_m=20", "--json", "-q"
     )
     table = json.loads(result.out)["config"]["simulation"]
     assert (table["lines"], table["scanner"]["slant_deg"]) == (30, 7.0)
@@ -592,7 +586,7 @@ def test_printed_parameters_name_the_preset_of_every_table(prc: Prc, tmp_path: P
         "--set",
         "scene.name=suburb",
     )
-    text = prc("simulate", "parameters", "street", *options).out
+    text = prc("simulate parameters street", *options).out
     assert [line for line in text.splitlines() if line.startswith("[")] == [
         "[scene]  # from: preset suburb",
         "[scanner]  # from: preset profiler-1mhz; changed: slant_deg",
@@ -601,7 +595,7 @@ def test_printed_parameters_name_the_preset_of_every_table(prc: Prc, tmp_path: P
     ]
     (tmp_path / "a.toml").write_text(text)
     # a whole table is what it says, whatever the default would have been
-    again = prc("simulate", "parameters", "street", "--config", tmp_path / "a.toml").out
+    again = prc(f"simulate parameters street --config {tmp_path}/a.toml").out
     assert "[scene]  # from: preset suburb\n" in again
     assert "[scanner]\n" in again
 
@@ -682,26 +676,17 @@ def test_options_reach_the_transfer(prc: Prc, tmp_path: Path) -> None:
         "--min-matched",
         "0.9",
     ]
-    result = prc("transfer", labels, registered, tmp_path / "out.laz", "-q", *options)
+    result = prc(f"transfer {labels} {registered} {tmp_path}/out.laz -q", *options)
     assert (result.code, result.err) == (0, "")
     las = laspy.read(tmp_path / "out.laz")
     assert np.array_equal(las.classification, drive.codes)
     assert np.array_equal(las["segment_id"], rest)
-    result = prc(
-        "transfer", labels, registered, tmp_path / "other.las", "-q", "--time-offset", "100"
-    )
+    result = prc(f"transfer {labels} {registered} {tmp_path}/other.las -q --time-offset 100")
     assert (result.code, result.err.count("\n")) == (1, 1)
     assert "--tolerance 1e-06" in result.err
     result = prc(
-        "transfer",
-        labels,
-        registered,
-        tmp_path / "other.las",
-        "-q",
-        "--match",
-        "record:head+no-return",
-        "--min-matched",
-        "0.1",
+        f"transfer {labels} {registered} {tmp_path}/other.las -q --match "
+        "record:head+no-return --min-matched 0.1",
     )
     assert result.code == 0
 
@@ -719,15 +704,8 @@ def test_transfer_with_a_layout_and_wrong_usage(
     records.tofile(tmp_path / "drive.bin")
     np.save(tmp_path / "whole.npy", drive.codes)
     result = prc(
-        "transfer",
-        tmp_path / "whole.npy",
-        registered,
-        tmp_path / "out.las",
-        "-q",
-        "--points",
-        tmp_path / "drive.bin",
-        "--layout",
-        layout,
+        f"transfer {tmp_path}/whole.npy {registered} {tmp_path}/out.las -q --points "
+        f"{tmp_path}/drive.bin --layout {layout}",
     )
     assert (result.code, result.err) == (0, "")
     for options, code, text in (
@@ -735,7 +713,7 @@ def test_transfer_with_a_layout_and_wrong_usage(
         (["--tolerance", "-1"], 2, "--tolerance"),
         ([], 1, "--points RAW"),
     ):
-        result = prc("transfer", labels, registered, tmp_path / "no.las", *options)
+        result = prc(f"transfer {labels} {registered} {tmp_path}/no.las", *options)
         assert (result.code, result.err.count("\n")) == (code, 1)
         assert result.err.startswith("error: ")
         assert text in result.err

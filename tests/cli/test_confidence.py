@@ -28,7 +28,7 @@ def folder(tmp_path: Path) -> Path:
 def classified(prc: Prc, folder: Path, suffix: str) -> Path:
     """Classify the scan with confidence."""
     output = folder / f"out{suffix}"
-    assert prc("classify", folder / "scan.npz", output, *SET).code == 0
+    assert prc(f"classify {folder}/scan.npz {output}", *SET).code == 0
     return output
 
 
@@ -60,32 +60,30 @@ def test_evaluate_tells_how_reliable_it_is(prc: Prc, folder: Path) -> None:
 
 def test_evaluate_without_it(prc: Prc, folder: Path) -> None:
     np.save(folder / "labels.npy", np.load(folder / "truth.npy"))
-    result = prc("evaluate", folder / "labels.npy", folder / "truth.npy", "--by", "confidence:90")
+    result = prc(f"evaluate {folder}/labels.npy {folder}/truth.npy --by confidence:90")
     assert result.code == 2
     assert "no confidence in" in result.err
     assert "output.confidence=true" in result.err
-    result = prc(
-        "evaluate", folder / "labels.npy", folder / "truth.npy", "--by", "confidence:90,80"
-    )
+    result = prc(f"evaluate {folder}/labels.npy {folder}/truth.npy --by confidence:90,80")
     assert (result.code, "expected increasing percentages" in result.err) == (2, True)
 
 
 def test_thin_drops_what_is_not_sure(prc: Prc, folder: Path) -> None:
     labels = classified(prc, folder, ".csv")
     least = ("--min-confidence", "95", "--keep", "noise=1")
-    result = prc("thin", folder / "scan.npz", folder / "thin.npz", "--labels", labels, *least)
+    result = prc(f"thin {folder}/scan.npz {folder}/thin.npz --labels {labels}", *least)
     assert result.code == 0
     assert "confidence below 95 %" in result.err
     kept = ~np.isnan(np.load(folder / "thin.npz")["range_m"]).ravel()
     np.testing.assert_array_equal(kept, values(labels) >= 95)
     way = ("--preset", "fused", "--set", "input.nadir=0", "-q")
-    assert prc("thin", folder / "scan.npz", folder / "way.npz", *way, *least).code == 0
+    assert prc(f"thin {folder}/scan.npz {folder}/way.npz", *way, *least).code == 0
     np.testing.assert_array_equal(~np.isnan(np.load(folder / "way.npz")["range_m"]).ravel(), kept)
     for options, expected_words in (
         (("--labels", folder / "truth.npy"), "output.confidence=true"),
         (("--preset", "prc-2019-urban"), "expected fused"),
     ):
-        refused = prc("thin", folder / "scan.npz", folder / "no.npz", *options, *least)
+        refused = prc(f"thin {folder}/scan.npz {folder}/no.npz", *options, *least)
         assert (refused.code, expected_words in refused.err) == (2, True)
         assert not (folder / "no.npz").exists()
 
@@ -93,7 +91,7 @@ def test_thin_drops_what_is_not_sure(prc: Prc, folder: Path) -> None:
 def test_other_methods_refuse_in_one_line(prc: Prc, folder: Path) -> None:
     for preset in ("prc-2019-urban", "street-scan"):
         options = ("--preset", preset, *SET[2:])
-        result = prc("classify", folder / "scan.npz", folder / "no.csv", *options)
+        result = prc(f"classify {folder}/scan.npz {folder}/no.csv", *options)
         assert (result.code, result.err.count("\n")) == (2, 1)
         assert "output.confidence: this method has no confidence" in result.err
         assert not (folder / "no.csv").exists()
@@ -105,7 +103,7 @@ def test_the_most_confident_of_a_real_strip_are_right(
     strip = real_data / "oakland" / "oakland_1.csv.gz"
     labels = tmp_path / "labels.csv"
     options = ("--preset", "fused", "--set", "output.confidence=true", "-q")
-    assert prc("classify", strip, labels, *options).code == 0
+    assert prc(f"classify {strip} {labels}", *options).code == 0
     command = ("evaluate", labels, strip, "--mapping", "street_oakland", "--json")
     every = json.loads(prc(*command).out)["overall"]["accuracy"]
     _, sure = json.loads(prc(*command, "--by", "confidence:98").out)["splits"]["confidence"]

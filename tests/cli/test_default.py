@@ -62,11 +62,11 @@ def test_the_default_is_a_preset_and_says_so(
     preset: str,
     method: str,
 ) -> None:
-    result = prc("classify", scans / name, scans / "a.npy", *options)
+    result = prc(f"classify {scans}/{name} {scans}/a.npy", *options)
     assert result.code == 0, result.err
     assert f"method: {method} (--preset {preset}): " in result.err
     assert (
-        prc("classify", scans / name, scans / "b.npy", *options, "--preset", preset, "-q").code == 0
+        prc(f"classify {scans}/{name} {scans}/b.npy", *options, "--preset", preset, "-q").code == 0
     )
     np.testing.assert_array_equal(np.load(scans / "a.npy"), np.load(scans / "b.npy"))
     record, named = (json.loads((scans / f"{stem}.npy.prc.json").read_text()) for stem in "ab")
@@ -74,7 +74,7 @@ def test_the_default_is_a_preset_and_says_so(
     assert record["assumptions"][0]["value"] == f"{method} (--preset {preset})"
     assert record["config"] == named["config"]
     assert all(assumption["key"] != "method" for assumption in named["assumptions"])
-    report = json.loads(prc("info", scans / name, *options, "--json").out)
+    report = json.loads(prc(f"info {scans}/{name}", *options, "--json").out)
     assert report["method"] == method
     assert "--preset" not in report["command"]  # the input decides again
 
@@ -88,20 +88,15 @@ def test_what_is_asked_for_may_leave_one_method(prc: Prc, scans: Path) -> None:
         ("--set", "prc.support.zeta_p=0.5"),
     ):
         result = prc(
-            "classify",
-            scans / "street.npz",
-            scans / "o.npy",
-            "--json",
-            "-q",
-            "--overwrite",
+            f"classify {scans}/street.npz {scans}/o.npy --json -q --overwrite",
             *down,
             *options,
         )
         assert result.code == 0, result.err
         assert json.loads(result.out)["config"]["method"] == "prc"
-    result = prc("render", scans / "street.npz", scans / "o.png", "--steps", "figure1", *down)
+    result = prc(f"render {scans}/street.npz {scans}/o.png --steps figure1", *down)
     assert result.code == 0, result.err
-    result = prc("render", scans / "street.npz", scans / "p.png", *down)
+    result = prc(f"render {scans}/street.npz {scans}/p.png", *down)
     assert (result.code, "fused" in result.err) == (0, True), result.err
 
 
@@ -157,7 +152,7 @@ def test_tables_and_presets_decide() -> None:
 @pytest.mark.slow
 def test_python_has_the_defaults_of_the_commands(prc: Prc, scans: Path) -> None:
     """Angles as files have them, the class mapping of the run, the same JSON."""
-    record = json.loads(prc("classify", scans / "street.npz", scans / "a.npy", "--json", "-q").out)
+    record = json.loads(prc(f"classify {scans}/street.npz {scans}/a.npy --json -q").out)
     run = prc_cli.classify(scans / "street.npz", scans / "b.npy")
     assert record == json.loads(json.dumps(run.as_dict()))
     assert record["doubts"] == []
@@ -189,5 +184,5 @@ def test_python_has_the_defaults_of_the_commands(prc: Prc, scans: Path) -> None:
 @pytest.mark.data
 def test_real_scans_get_what_labels_them_best(prc: Prc, real_data: Path) -> None:
     for name, preset in (("oakland/oakland_2.csv.gz", "fused"), ("forest/tls_park.npz", "fused")):
-        report = json.loads(prc("info", real_data / name, "--json").out)
+        report = json.loads(prc(f"info {real_data}/{name} --json").out)
         assert report["choice"]["preset"] == preset

@@ -25,7 +25,7 @@ def test_degrees_are_written_in_steps_of_a_millimetre(prc: Prc, tmp_path: Path) 
     header = "scan_line,column,range,scan_angle,x,y,z"
     formats = ["%d", "%d", "%.4f", "%.4f", "%.10f", "%.10f", "%.4f"]
     np.savetxt(source, table, delimiter=",", header=header, comments="", fmt=formats)
-    result = prc("classify", source, output, "-q", "--set", "input.nadir=0", "--preset", "fused")
+    result = prc(f"classify {source} {output} -q --set input.nadir=0 --preset fused")
     assert result.code in (0, 4), result.err
     points = laspy.read(output)
     assert np.abs(np.asarray(points.y) - lat).max() < 2e-8

@@ -98,7 +98,7 @@ def test_refusals_are_one_line_and_leave_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     save(tmp_path, "a", [2, 6], [2, 6])
-    result = prc("run/a.npy", "reference/a.csv", *arguments)
+    result = prc("run/a.npy reference/a.csv", *arguments)
     assert result[0] == code
     assert result[1] == ""
     assert message in result[2]
@@ -152,16 +152,14 @@ def test_codes_of_one_kind_of_data_have_the_mapping_of_the_method(prc: Prc, tmp_
             ("a.label", f"{kind or 'semantic_'}kitti"),
             ("oakland.npy", f"{kind}oakland"),
         ):
-            code, out, err = prc(tmp_path / "a.npy", tmp_path / name, "--json")
+            code, out, err = prc(f"{tmp_path}/a.npy {tmp_path}/{name} --json")
             assert (code, json.loads(out)["mapping"], "it lists the reference's codes" in err) == (
                 0,
                 mapping,
                 True,
             )
     np.save(tmp_path / "a.npy", np.zeros(3, np.uint8))
-    assert (
-        "none of 3 records has a class to score" in prc(tmp_path / "a.npy", tmp_path / "a.npy")[2]
-    )
+    assert "none of 3 records has a class to score" in prc(f"{tmp_path}/a.npy {tmp_path}/a.npy")[2]
 
 
 def test_files_of_different_methods_are_compared_in_the_classes_of_prc(
@@ -170,15 +168,13 @@ def test_files_of_different_methods_are_compared_in_the_classes_of_prc(
     for name in ("a", "b"):
         save(tmp_path, name, [2, 2, 65, 66], [2, 2, 65, 5])
         record(tmp_path / "run" / f"{name}.npy", "fused", fused={"environment": "urban"})
-    result = prc(tmp_path / "run", tmp_path / "reference", "--json")
+    result = prc(f"{tmp_path}/run {tmp_path}/reference --json")
     assert json.loads(result[1])["mapping"] == "street"
     record(tmp_path / "run" / "b.npy", "prc")
-    result = prc(tmp_path / "run", tmp_path / "reference", "--json")
+    result = prc(f"{tmp_path}/run {tmp_path}/reference --json")
     assert (json.loads(result[1])["mapping"], result[2]) == ("prc", "")
     (tmp_path / "run" / "b.npy.prc.json").write_text("[" * 100_000)
-    assert (
-        json.loads(prc(tmp_path / "run", tmp_path / "reference", "--json")[1])["mapping"] == "prc"
-    )
+    assert json.loads(prc(f"{tmp_path}/run {tmp_path}/reference --json")[1])["mapping"] == "prc"
 
 
 @pytest.mark.parametrize(
@@ -216,7 +212,7 @@ def test_a_reference_of_class_names_is_read(prc: Prc, tmp_path: Path) -> None:
     (tmp_path / "names.csv").write_text(
         "record,class\n0,ground\n1,building\n2,car\n", encoding="utf-8"
     )
-    code, out, _ = prc(tmp_path / "a.npy", tmp_path / "names.csv", "--mapping", "street", "--json")
+    code, out, _ = prc(f"{tmp_path}/a.npy {tmp_path}/names.csv --mapping street --json")
     assert (code, json.loads(out)["overall"]["accuracy"]) == (0, 1.0)
 
 
@@ -249,7 +245,7 @@ def test_rows_with_record_numbers_are_paired_by_them(prc: Prc, tmp_path: Path, f
     if form == "parquet":
         columns = {"record": SHUFFLED, "class": [CODES[record] for record in SHUFFLED]}
         pq.write_table(pa.table(columns), path := tmp_path / "p.parquet")
-    code, out, _ = prc(path, tmp_path / "r.npy")
+    code, out, _ = prc(f"{path} {tmp_path}/r.npy")
     assert code == 0
     assert "accuracy 1.000" in out
     assert "matched by record number" in out
@@ -283,7 +279,7 @@ def test_lengths_are_compared_before_anything_is_read(
     monkeypatch.setattr(
         "prc_cli.formats.tables.read.read_batches", lambda *arguments: pytest.fail("it is read")
     )
-    code, _, err = prc(tmp_path / "p.parquet", tmp_path / "r.npy", "--mapping", "prc")
+    code, _, err = prc(f"{tmp_path}/p.parquet {tmp_path}/r.npy --mapping prc")
     assert code == 1
     assert "9 records, but" in err
 
@@ -318,7 +314,7 @@ def test_odd_trees_and_areas_are_refused_in_one_line(
     make_las(tmp_path / "a.las", 6, n=20)
     (tmp_path / name).write_text(text)
     code, _, err = prc(
-        tmp_path / "a.las", tmp_path / "a.las", "--match", "nearest", option, tmp_path / name
+        f"{tmp_path}/a.las {tmp_path}/a.las --match nearest {option} {tmp_path}/{name}"
     )
     assert code == 1
     assert message in err

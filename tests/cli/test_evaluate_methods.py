@@ -117,7 +117,7 @@ def test_names_come_from_records_names_and_files(prc: Prc, table_i: Path, tmp_pa
     ends = [str(table_i / "car.npy"), "--mapping", "lehtola_urban", "--json"]
     names = list(json.loads(prc("evaluate", *files, *ends).out)["methods"])
     assert names == ["prc (monday)", "prc (tuesday)", "by_hand"]
-    twice = prc("evaluate", f"a={files[0]}", f"a={files[1]}", *ends)
+    twice = prc(f"evaluate a={files[0]} a={files[1]}", *ends)
     assert twice.code == 2
     assert f"NAME={files[1]}" in twice.err
 
@@ -141,6 +141,6 @@ def test_gates_hold_for_every_method(prc: Prc, table_i: Path) -> None:
 
 
 def test_one_file_is_refused(prc: Prc, table_i: Path) -> None:
-    done = prc("evaluate", str(table_i / "car.npy"))
+    done = prc(f"evaluate {table_i}/car.npy")
     assert done.code == 2
     assert "REFERENCE" in done.err

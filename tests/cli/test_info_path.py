@@ -40,7 +40,7 @@ def cloud(tmp_path_factory: pytest.TempPathFactory, corridor: Corridor) -> Path:
 
 
 def test_what_was_found_is_said(prc: Prc, cloud: Path) -> None:
-    result = prc("info", cloud, "--range", "points")
+    result = prc(f"info {cloud} --range points")
     said = " ".join(result.out.split())
     for words in (
         "m/s (median)",
@@ -50,9 +50,7 @@ def test_what_was_found_is_said(prc: Prc, cloud: Path) -> None:
         "are interpolated",
     ):
         assert words in said, words
-    (figures,) = json.loads(prc("info", cloud, "--range", "points", "--json").out)["path_found"][
-        "passes"
-    ]
+    (figures,) = json.loads(prc(f"info {cloud} --range points --json").out)["path_found"]["passes"]
     assert figures["lines_hz"] == pytest.approx(LINES_HZ, rel=2e-4)
     assert figures["shots_hz"] == pytest.approx(SHOTS_HZ, rel=1e-4)
     assert figures["points_per_line"] == SHOTS_HZ / LINES_HZ
@@ -74,7 +72,7 @@ def test_nothing_is_reconstructed_unless_it_is_asked_for(
     monkeypatch.setattr("prc_cli.streams.registered.drive.find_rotation", refuse)
     trajectory = write_trajectory(tmp_path / "true.csv", corridor)
     for words in ((), ("--range", f"trajectory:{trajectory}")):
-        report = json.loads(prc("info", cloud, *words, "--json").out)
+        report = json.loads(prc(f"info {cloud}", *words, "--json").out)
         assert report["path_found"] is None
         assert report["comparisons"] == []
 
@@ -88,27 +86,25 @@ def test_the_path_is_written_with_its_uncertainty_and_read_again(
     prc: Prc, cloud: Path, tmp_path: Path
 ) -> None:
     output = tmp_path / "path.csv"
-    assert prc("info", cloud, "--range", "points", "--path", output).code == 0
+    assert prc(f"info {cloud} --range points --path {output}").code == 0
     table = np.genfromtxt(output, delimiter=",", names=True)
     assert off_m(output) < 0.02
     assert 0.0 < np.median(table["sigma_x"]) < 0.01
-    report = json.loads(
-        prc("info", cloud, "--range", f"trajectory:{output}", "--sort-by-time", "--json").out
-    )
+    report = json.loads(prc(f"info {cloud} --range trajectory:{output} --sort-by-time --json").out)
     assert not report["problem"]
     before = output.read_bytes()
-    refused = prc("info", cloud, "--range", "points", "--path", output)
+    refused = prc(f"info {cloud} --range points --path {output}")
     assert refused.code == 2
     assert "--overwrite" in refused.err
     assert output.read_bytes() == before
-    assert prc("info", cloud, "--range", "points", "--path", output, "--overwrite").code == 0
+    assert prc(f"info {cloud} --range points --path {output} --overwrite").code == 0
 
 
 def test_the_path_as_sbet_is_read_by_the_definition_of_the_format(
     prc: Prc, cloud: Path, tmp_path: Path
 ) -> None:
     output = tmp_path / "path.sbet"
-    assert prc("info", cloud, "--range", "points", "--path", output).code == 0
+    assert prc(f"info {cloud} --range points --path {output}").code == 0
     assert off_m(output, f"EPSG:{EPSG}") < 0.02
     records = np.fromfile(output, "<f8").reshape(-1, 17)
     assert (records[[0, -1], 0] - BEGIN_S) == pytest.approx([0.0, DURATION_S], abs=0.01)
@@ -139,7 +135,7 @@ def test_a_path_that_cannot_be_written_is_refused(
     said: str,
 ) -> None:
     cloud = write_cloud(tmp_path / "local.las", corridor)
-    result = prc("info", cloud, *words, "--path", tmp_path / name)
+    result = prc(f"info {cloud}", *words, "--path", tmp_path / name)
     assert (result.code, said in result.err) == (code, True), result.err
     assert not (tmp_path / name).exists()
     assert [file.name for file in tmp_path.iterdir()] == ["local.las"]
@@ -161,7 +157,7 @@ def test_a_path_never_replaces_an_input(
         trajectory,
         "--overwrite",
     )
-    assert prc("info", cloud, *words).code == 2
+    assert prc(f"info {cloud}", *words).code == 2
     assert trajectory.read_bytes() == before
 
 
@@ -171,11 +167,11 @@ def test_the_path_of_a_cloud_in_feet_is_in_feet(
     foot = 1200 / 3937
     cloud = write_cloud(tmp_path / "feet.las", corridor, epsg=2263, metres=foot)
     output = tmp_path / "path.csv"
-    assert prc("info", cloud, "--range", "points", "--path", output).code == 0
+    assert prc(f"info {cloud} --range points --path {output}").code == 0
     table = np.genfromtxt(output, delimiter=",", names=True)
     xyz = np.stack([table[axis] for axis in "xyz"], axis=1)
     assert xyz * foot == pytest.approx(stations(table["time"] - BEGIN_S), abs=0.02)
-    refused = prc("info", cloud, "--range", "points", "--path", tmp_path / "path.sbet")
+    refused = prc(f"info {cloud} --range points --path {tmp_path}/path.sbet")
     assert refused.code == 2
     assert ".csv" in refused.err
 
@@ -183,16 +179,14 @@ def test_the_path_of_a_cloud_in_feet_is_in_feet(
 def test_two_passes_are_one_path_with_a_gap(prc: Prc, tmp_path: Path) -> None:
     cloud = write_cloud(tmp_path / "two.las", make_corridor(begin_s=BEGIN_S, gap_s=60.0))
     output = tmp_path / "path.csv"
-    report = json.loads(prc("info", cloud, "--range", "points", "--path", output, "--json").out)
+    report = json.loads(prc(f"info {cloud} --range points --path {output} --json").out)
     assert len(report["path_found"]["passes"]) == 2
     assert report["written"] == [str(output)]
     # the directions of the beams are known for every pass
     assert report["method"] == "fused"
     table = np.genfromtxt(output, delimiter=",", names=True)
     assert sorted(set(table["pass"])) == [0, 1]
-    again = json.loads(
-        prc("info", cloud, "--range", f"trajectory:{output}", "--sort-by-time", "--json").out
-    )
+    again = json.loads(prc(f"info {cloud} --range trajectory:{output} --sort-by-time --json").out)
     assert "gap" not in again["problem"]
     assert "outside" not in again["problem"]
 
@@ -220,7 +214,7 @@ def test_a_trajectory_of_the_scanner_in_the_same_clock_is_fine(
     corridor: Corridor,
 ) -> None:
     trajectory = write_trajectory(tmp_path / "true.csv", corridor)
-    result = prc("info", cloud, "--range", f"trajectory:{trajectory}", "--check-path", "--checks")
+    result = prc(f"info {cloud} --range trajectory:{trajectory} --check-path --checks")
     said = " ".join(result.out.split())
     assert "check: trajectory fine: the trajectory is the path of the points" in said
 
@@ -233,7 +227,7 @@ def test_other_coordinates_are_refused_with_the_command_that_does_without(
 ) -> None:
     trajectory = write_trajectory(tmp_path / "moved.csv", corridor, moved_m=(1000.0, -500.0, 0.0))
     report = json.loads(
-        prc("info", cloud, "--range", f"trajectory:{trajectory}", "--check-path", "--json").out
+        prc(f"info {cloud} --range trajectory:{trajectory} --check-path --json").out
     )
     assert "moved by x -1,000.0, y 500.0, z 0.0 m" in report["problem"]
     assert report["command"].endswith("--range points")

@@ -117,7 +117,7 @@ def test_one_clear_line_and_nothing_left(
 ) -> None:
     source = make(tmp_path)
     before = sorted(os.listdir(tmp_path))
-    result = prc("classify", source, tmp_path / "labels.npy", "--preset", "street-scan")
+    result = prc(f"classify {source} {tmp_path}/labels.npy --preset street-scan")
     assert (result.code, result.out) == (1, ""), result.err
     (line,) = result.err.strip().splitlines()
     assert line.startswith("error: ")
@@ -138,15 +138,15 @@ def test_a_scan_of_nothing_does_no_harm_to_the_others(
     nothing = np.zeros((20, 30, 4))
     nothing[3, 4] = n_points * np.array([3.0, 4.0, 1.0, 0.5])
     source = two_scans(tmp_path, nothing)
-    result = prc("classify", source, tmp_path / "labels.npy", "--preset", "street-scan")
+    result = prc(f"classify {source} {tmp_path}/labels.npy --preset street-scan")
     assert result.code == 0, result.err
     assert "note: scan 1: no" in result.err
-    prc("classify", ptx(tmp_path), tmp_path / "one.npy", "--preset", "street-scan")
+    prc(f"classify {ptx(tmp_path)} {tmp_path}/one.npy --preset street-scan")
     labels = np.load(tmp_path / "labels.npy")
     alone = np.load(tmp_path / "one.npy")
     np.testing.assert_array_equal(labels[: len(alone)], alone)
     assert np.count_nonzero(labels[len(alone) :]) == n_points
-    result = prc("info", source, "--preset", "street-scan")
+    result = prc(f"info {source} --preset street-scan")
     assert result.code == 0, result.err
     assert "scan 1: no" in " ".join(result.out.split())
 
@@ -188,7 +188,7 @@ def test_what_contradicts_itself_is_refused(
     code: int,
     words: str,
 ) -> None:
-    result = prc("classify", npz(tmp_path), tmp_path / "labels.npy", *options)
+    result = prc(f"classify {npz(tmp_path)} {tmp_path}/labels.npy", *options)
     assert (result.code, result.out) == (code, "")
     assert words in result.err
 
@@ -205,13 +205,13 @@ def ranges() -> F32:
 def test_cars_of_a_real_street(prc: Prc, real_data: Path, tmp_path: Path) -> None:
     source = real_data / "oakland" / "oakland_1.csv.gz"
     out = tmp_path / "labels.npy"
-    result = prc("classify", source, out, "--preset", "fused", "--set", "input.nadir=0")
+    result = prc(f"classify {source} {out} --preset fused --set input.nadir=0")
     assert result.code == 0, result.err
     gates = [word for gate in ("f1.ground=0.99", "f1.car=0.6") for word in ("--fail-under", gate)]
-    result = prc("evaluate", out, source, "--mapping", "street_oakland", *gates)
+    result = prc(f"evaluate {out} {source} --mapping street_oakland", *gates)
     assert result.code == 0, result.out + result.err
     # the mappings of the papers fold the codes back
-    assert prc("evaluate", out, source, "--mapping", "oakland").code == 0
+    assert prc(f"evaluate {out} {source} --mapping oakland").code == 0
 
 
 @pytest.mark.slow
@@ -221,7 +221,7 @@ def test_parked_cars_of_oakland_are_found(prc: Prc, real_data: Path, tmp_path: P
     for strip, least in ((1, 0.75), (2, 0.8)):
         scan = real_data / "oakland" / f"oakland_{strip}.csv.gz"
         output = tmp_path / f"{strip}.npy"
-        result = prc("classify", scan, output, "--preset", "fused")
+        result = prc(f"classify {scan} {output} --preset fused")
         assert result.code in (0, 4), result.err
         rows = np.genfromtxt(scan, delimiter=",", names=True)
         cars = np.isin(rows["label"], (1500, 1501))
@@ -243,7 +243,7 @@ def test_rooms_are_doubted(
 ) -> None:
     """A laser that turns level in a room, and a pump."""
     output = tmp_path / "labels.npy"
-    result = prc("classify", real_data / file, output, "--preset", "fused", *checks)
+    result = prc(f"classify {real_data}/{file} {output} --preset fused", *checks)
     assert result.code == 4
     assert "indoors" in result.err
     assert not (np.load(output) == 65).any()

@@ -31,7 +31,7 @@ def test_another_spelling_is_understood(prc: Prc, command: str, expected: str) -
 
 
 def test_an_old_preset_has_a_note_and_the_new_name_in_the_sources(prc: Prc) -> None:
-    result = prc("config", "show", "--preset", "forest")
+    result = prc("config show --preset forest")
     assert result.err == "note: preset forest is now called prc-2019-forest\n"
     assert "# from: preset prc-2019-forest" in result.out
 
@@ -39,11 +39,11 @@ def test_an_old_preset_has_a_note_and_the_new_name_in_the_sources(prc: Prc) -> N
 def test_tables_of_single_commands_are_shown_with_their_sources(prc: Prc, tmp_path: Path) -> None:
     file = tmp_path / "a.toml"
     file.write_text("[batch]\nstall = 1800\n[render]\nstation = 2\n", encoding="utf-8")
-    shown = prc("config", "show", "--config", file, "--set", "batch.retry=2").out
+    shown = prc(f"config show --config {file} --set batch.retry=2").out
     assert f"stall = 1800.0  # from: {file}" in shown
     assert "retry = 2  # from: option" in shown
     (tmp_path / "b.toml").write_text(shown, encoding="utf-8")
-    again = prc("config", "show", "--config", tmp_path / "b.toml", "--json")
+    again = prc(f"config show --config {tmp_path}/b.toml --json")
     config = json.loads(again.out)["config"]
     assert (config["batch"]["retry"], config["render"]["station"]) == (2, 2)
 
@@ -97,8 +97,8 @@ def test_no_option_of_today_is_among_those_that_went() -> None:
 
 @pytest.mark.parametrize("name", ["classify", "batch", "evaluate", "render"])
 def test_help_is_short_and_help_all_is_not(prc: Prc, name: str) -> None:
-    short = prc(name, "--help").out
-    whole = prc(name, "--help-all").out
+    short = prc(f"{name} --help").out
+    whole = prc(f"{name} --help-all").out
     assert f"more options: prc {name} --help-all" in short
     assert sum(line.lstrip().startswith("-") for line in short.splitlines()) <= 14
     assert "--layout" in whole or name == "evaluate"

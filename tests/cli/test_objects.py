@@ -39,13 +39,7 @@ def rows(text: str) -> list[dict[str, str]]:
 @pytest.mark.slow
 def test_stems_are_where_the_simulator_has_them(prc: Prc, forest: Path) -> None:
     result = prc(
-        "objects",
-        forest / "walk.laz",
-        "--preset",
-        "fused-forest",
-        "-o",
-        forest / "o.csv",
-        "--overwrite",
+        f"objects {forest}/walk.laz --preset fused-forest -o {forest}/o.csv --overwrite",
     )
     assert result.code == 0, result.err
     assert "stems in 200 lines" in result.err
@@ -83,23 +77,18 @@ def test_every_form_holds_the_same(prc: Prc, forest: Path) -> None:
 
 @pytest.mark.slow
 def test_classes_that_are_there_are_taken_or_it_says_why_not(prc: Prc, forest: Path) -> None:
-    result = prc("objects", forest / "walk.laz")
+    result = prc(f"objects {forest}/walk.laz")
     assert (result.code, "note: the classes of the file are taken" in result.err) == (0, True), (
         result.err
     )
     assert {row["kind"] for row in rows(result.out)} == {"stem"}
     assert (
         prc(
-            "classify",
-            forest / "walk.laz",
-            forest / "urban.laz",
-            "--preset",
-            "prc-2019-urban",
-            "-q",
+            f"classify {forest}/walk.laz {forest}/urban.laz --preset prc-2019-urban -q",
         ).code
         == 0
     )
-    result = prc("objects", forest / "urban.laz")
+    result = prc(f"objects {forest}/urban.laz")
     assert (
         "note: the file has classes, but none of: stem, pole, car, curb; it is classified again"
         in result.err
@@ -140,14 +129,12 @@ def test_refusals_are_one_line(prc: Prc, tmp_path: Path) -> None:
             "expected one of .csv, .geojson, .parquet",
         ),
     ):
-        result = prc("objects", tmp_path / "s.bin", *arguments)
+        result = prc(f"objects {tmp_path}/s.bin", *arguments)
         assert result.code in (1, 2)
         assert words in result.err.splitlines()[-1]
     assert not list(tmp_path.glob("o.*"))
     (tmp_path / "o.csv").write_text("mine")
-    result = prc(
-        "objects", tmp_path / "s.bin", "-o", tmp_path / "o.csv", "--preset", "fused-forest"
-    )
+    result = prc(f"objects {tmp_path}/s.bin -o {tmp_path}/o.csv --preset fused-forest")
     assert (result.code, "exists already" in result.err) == (2, True)
     assert (tmp_path / "o.csv").read_text() == "mine"
 
@@ -155,6 +142,6 @@ def test_refusals_are_one_line(prc: Prc, tmp_path: Path) -> None:
 @pytest.mark.data
 def test_a_real_park_has_stems(prc: Prc, real_data: Path) -> None:
     source = real_data / "forest" / "tls_park.npz"
-    result = prc("objects", source, "--preset", "fused-forest", "-q", "--kind", "stem")
+    result = prc(f"objects {source} --preset fused-forest -q --kind stem")
     assert result.code in (0, 4), result.err
     assert rows(result.out)

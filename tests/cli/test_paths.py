@@ -171,7 +171,7 @@ def test_a_file_of_a_folder_that_is_read_is_an_input(tmp_path: Path) -> None:
 def test_a_command_that_has_ended_protects_nothing(tmp_path: Path, prc: Prc) -> None:
     source = tmp_path / "a.npy"
     source.write_bytes(b"no array")
-    assert prc("info", source).code == 1
+    assert prc(f"info {source}").code == 1
     prepare_outputs(source, overwrite=True)
 
 

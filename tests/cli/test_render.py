@@ -18,7 +18,7 @@ def drive(tmp_path: Path) -> Path:
 
 
 def test_a_page_to_look_into(prc: Prc, drive: Path, tmp_path: Path) -> None:
-    result = prc("render", drive, tmp_path / "a.html", "--json")
+    result = prc(f"render {drive} {tmp_path}/a.html --json")
     assert result.code == 0, result.err
     record = json.loads(result.out)
     assert record["files"] == [str(tmp_path / "a.html")]
@@ -63,17 +63,17 @@ def test_refusals_are_one_line_each(prc: Prc, drive: Path, tmp_path: Path) -> No
             ["class mapping: found 'nothing', expected a .toml file or one of"],
         ),
     ):
-        refused(prc("render", drive, out, "--quiet", *options), code, *parts)
+        refused(prc(f"render {drive} {out} --quiet", *options), code, *parts)
         assert not out.exists()
     refused(
-        prc("render", drive, tmp_path / "a.jpg"),
+        prc(f"render {drive} {tmp_path}/a.jpg"),
         2,
         "expected .png; for a page to look around in: OUT.html",
     )
-    refused(prc("render", drive, drive), 2, "the output is the input itself")
-    refused(prc("render", drive), 2, "prc render needs IN OUT")
+    refused(prc(f"render {drive} {drive}"), 2, "the output is the input itself")
+    refused(prc(f"render {drive}"), 2, "prc render needs IN OUT")
     page = tmp_path / "b.html"
-    refused(prc("render", drive, page, "--steps", "classes"), 2, "found a page to write")
+    refused(prc(f"render {drive} {page} --steps classes"), 2, "found a page to write")
     out.write_bytes(b"old")
-    refused(prc("render", drive, out), 2, "exists already", "--overwrite")
-    assert prc("render", drive, out, "--overwrite").code == 0
+    refused(prc(f"render {drive} {out}"), 2, "exists already", "--overwrite")
+    assert prc(f"render {drive} {out} --overwrite").code == 0

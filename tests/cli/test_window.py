@@ -54,8 +54,8 @@ def test_a_window_is_a_drive_of_its_own(
 ) -> None:
     whole = np.load(folder / "d.npz")["range_m"][13:41]
     np.save(folder / "part.npy", whole)
-    assert prc("classify", folder / "part.npy", folder / "expected.npy", *URBAN).code == 0
-    assert prc("classify", folder / name, folder / "w.npy", "--only", window, *URBAN).code == 0
+    assert prc(f"classify {folder}/part.npy {folder}/expected.npy", *URBAN).code == 0
+    assert prc(f"classify {folder}/{name} {folder}/w.npy --only {window}", *URBAN).code == 0
     expected = np.load(folder / "expected.npy")
     expected = expected[expected > 0] if name == "d.laz" else expected
     assert np.array_equal(np.load(folder / "w.npy"), expected)
@@ -71,7 +71,7 @@ def test_las_holds_the_records_of_the_window_alone(prc: Prc, folder: Path) -> No
     source = laspy.read(folder / "d.laz")
     inside = (source.scan_line >= 13) & (source.scan_line < 41)
     for output in ("w.laz", "w.las"):
-        result = prc("classify", folder / "d.laz", folder / output, "--only", "13:41", *URBAN)
+        result = prc(f"classify {folder}/d.laz {folder}/{output} --only 13:41", *URBAN)
         assert result.code == 0, result.err
         cloud = laspy.read(folder / output)
         assert cloud.header.point_count == np.count_nonzero(inside)
@@ -84,23 +84,15 @@ def test_las_holds_the_records_of_the_window_alone(prc: Prc, folder: Path) -> No
         assert cloud.header.number_of_points_by_return[0] == np.count_nonzero(
             cloud.return_number == 1
         )
-    assert prc("classify", folder / "d.laz", folder / "w.npy", "--only", "13:41", *URBAN).code == 0
+    assert prc(f"classify {folder}/d.laz {folder}/w.npy --only 13:41", *URBAN).code == 0
     assert np.array_equal(laspy.read(folder / "w.laz").classification, np.load(folder / "w.npy"))
-    repeated = prc(
-        "classify", folder / "d.laz", folder / "w.laz", "--only", "13:41", "--overwrite"
-    ).err
+    repeated = prc(f"classify {folder}/d.laz {folder}/w.laz --only 13:41 --overwrite").err
     assert "draw it: prc render" in repeated
     assert f"--labels {folder / 'w.laz'}" in " ".join(repeated.split())
     assert "compare it" not in repeated
     # codes above 31 make the point format a larger one; segment ids are appended
     result = prc(
-        "classify",
-        folder / "d.laz",
-        folder / "s.laz",
-        "--only",
-        "2s",
-        "--set",
-        "output.segment_ids=true",
+        f"classify {folder}/d.laz {folder}/s.laz --only 2s --set output.segment_ids=true",
         *URBAN,
     )
     assert result.code == 0, result.err
@@ -115,15 +107,13 @@ def test_commands_that_take_files_whole_refuse(
 ) -> None:
     source = folder / command[1]
     output = folder / ("out.png" if command[0] == "render" else "out.laz")
-    result = prc(
-        command[0], source, output, "--preset", "prc-2019-urban", "--set", "input.first=2s"
-    )
+    result = prc(f"{command[0]} {source} {output} --preset prc-2019-urban --set input.first=2s")
     assert result.code == 2
     assert "found --only 2s, but prc" in result.err
 
 
 def test_evaluate_scores_the_window(prc: Prc, folder: Path) -> None:
-    assert prc("classify", folder / "d.laz", folder / "e.laz", *URBAN).code == 0
+    assert prc(f"classify {folder}/d.laz {folder}/e.laz", *URBAN).code == 0
     source = laspy.read(folder / "d.laz")
     lines = (source.scan_line >= 20) & (source.scan_line < 50)
     since = source.gps_time - source.gps_time[0]
@@ -144,10 +134,8 @@ def test_evaluate_scores_the_window(prc: Prc, folder: Path) -> None:
     assert prc(*command, "--only", "200:").code == 1
     labels = folder / "e.npy"
     np.save(labels, np.full(N_LINES * M, 2, np.uint8))
-    assert prc("evaluate", labels, labels, "--only", "2s").code == 2
+    assert prc(f"evaluate {labels} {labels} --only 2s").code == 2
     assert (
-        json.loads(prc("evaluate", labels, labels, "-M", M, "--only", "5lines", "--json").out)[
-            "n_scored"
-        ]
+        json.loads(prc(f"evaluate {labels} {labels} -M {M} --only 5lines --json").out)["n_scored"]
         == 5 * M
     )

@@ -259,7 +259,7 @@ def test_mirror_images_below_the_ground_are_noise(made: Scene) -> None:
 def test_few_rings_are_known_before_any_label(made: Scene, prc: Prc, tmp_path: Path) -> None:
     ranges, xyz, _ = made
     np.savez(tmp_path / "scan.npz", range_m=ranges, xyz=xyz)
-    result = prc("info", tmp_path / "scan.npz")
+    result = prc(f"info {tmp_path}/scan.npz")
     assert "warning: few-rings" in result.out
     assert "as it is" not in result.out
 
@@ -315,7 +315,7 @@ def test_narrow_level_beams_are_a_fan(
 def test_rings_are_chosen_without_a_name(made: Scene, prc: Prc, tmp_path: Path) -> None:
     ranges, xyz, _ = made
     np.savez(tmp_path / "scan.npz", range_m=ranges, xyz=xyz, zenith_deg=180.0 - np.rad2deg(BEAM))
-    result = prc("classify", tmp_path / "scan.npz", tmp_path / "labels.npy")
+    result = prc(f"classify {tmp_path}/scan.npz {tmp_path}/labels.npy")
     assert result.code == 4, result.err
     assert (
         "method: rings (--preset rings): columns are the rings of a spinning scanner" in result.err
@@ -335,7 +335,7 @@ def test_a_sweep_of_two_scanners(prc: Prc, real_data: Path, tmp_path: Path) -> N
     table = feather.read_table(sweep)
     csv.write_csv(table, tmp_path / "sweep.csv")
     output = tmp_path / "labels.npy"
-    result = prc("classify", tmp_path / "sweep.csv", output, "--range", "origin:1.35,0,1.585")
+    result = prc(f"classify {tmp_path}/sweep.csv {output} --range origin:1.35,0,1.585")
     assert result.code == 0, result.err
     is_ground = np.load(output).ravel() == 2
     ground = feather.read_table(sweep.with_name(f"{sweep.stem}_labels.feather"))[
