@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import pytest
 
 from prc_cli.cli import main, report
@@ -15,13 +17,12 @@ def no_word_about_compiling(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report, "COMPILING_S", HANGS_S)
 
 
-class Result:
+class Result(NamedTuple):
     """Exit code and what was printed; a message on stderr is one line, as in logs."""
 
-    def __init__(self, code: int, out: str, err: str) -> None:
-        self.code = code
-        self.out = out
-        self.err = err
+    code: int
+    out: str
+    err: str
 
 
 class Prc:
@@ -30,11 +31,11 @@ class Prc:
     def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
         self._capsys = capsys
 
-    def __call__(self, line: str, *arguments: object) -> Result:
+    def __call__(self, line: object, *arguments: object) -> Result:
         """Run a command line, its words followed by further arguments as they are."""
         self._capsys.readouterr()
         with pytest.raises(SystemExit) as stop:
-            main([*line.split(), *(str(argument) for argument in arguments)])
+            main([*str(line).split(), *(str(argument) for argument in arguments)])
         captured = self._capsys.readouterr()
         check_messages(captured.err)
         code = stop.value.code

@@ -9,13 +9,13 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from prc_cli.cli import main
 from prc_cli.core.errors import BusyError
 from prc_cli.core.files import temporary_name
 from prc_cli.jobs.batch import run as run_module
@@ -26,35 +26,19 @@ from prc_cli.jobs.batch.report import BatchSummary
 from prc_cli.jobs.batch.run import Listener, Noted, Ready
 from prc_cli.jobs.batch.types import BatchSettings
 from tests import patience
-from tests.messages import check_messages, folded
+from tests.cli.conftest import Result
 from tests.street import street, write_csv, write_npz
 
 PRC = [sys.executable, "-m", "prc_cli"]
-
-
-class Result:
-    """Exit code and what was printed; a message on stderr is one line, as in logs."""
-
-    def __init__(self, code: int, out: str, err: str) -> None:
-        self.code = code
-        self.out = out
-        self.err = err
 
 
 Run = Callable[..., Result]
 
 
 @pytest.fixture
-def prc(capsys: pytest.CaptureFixture[str]) -> Run:
-    def call(*arguments: object) -> Result:
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as stop:
-            main(["batch", *map(str, arguments)])
-        captured = capsys.readouterr()
-        check_messages(captured.err)
-        return Result(int(stop.value.code or 0), captured.out, folded(captured.err))
-
-    return call
+def prc(prc: Run) -> Run:
+    """Run ``prc batch``."""
+    return partial(prc, "batch")
 
 
 # -- real runs

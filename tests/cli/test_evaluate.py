@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,29 +12,16 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from prc_cli.cli import main
+from tests.cli.conftest import Result
 from tests.formats.las.lasbytes import make_las
-from tests.messages import check_messages, folded
 
-
-class Prc:
-    """Runs ``prc evaluate`` in this process; gives exit code, stdout and stderr."""
-
-    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
-        self._capsys = capsys
-
-    def __call__(self, *arguments: object) -> tuple[int, str, str]:
-        self._capsys.readouterr()
-        with pytest.raises(SystemExit) as stop:
-            main(["evaluate", *(str(argument) for argument in arguments)])
-        captured = self._capsys.readouterr()
-        check_messages(captured.err)
-        return int(stop.value.code or 0), captured.out, folded(captured.err)
+Prc = Callable[..., Result]
 
 
 @pytest.fixture
-def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
-    return Prc(capsys)
+def prc(prc: Prc) -> Prc:
+    """Run ``prc evaluate``."""
+    return lambda line, *arguments: prc(f"evaluate {line}", *arguments)
 
 
 def save(
