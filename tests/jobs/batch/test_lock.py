@@ -13,6 +13,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict
 from itertools import count
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -22,9 +23,10 @@ from prc_cli.core.errors import BusyError, OutputError
 from prc_cli.jobs.batch import lock as subject
 from prc_cli.jobs.batch.lock import Lock, Owner, has_locks, holders
 from prc_cli.jobs.batch.types import Shard
-from tests.patience import run, start, wait_until
+from tests.patience import start, wait_until
 
-RIVALS = Path(__file__).with_name("rivals.py")
+DIED = 9
+"""Exit code of a run that dropped dead."""
 HOLD = """
 import sys, time
 from pathlib import Path
@@ -193,8 +195,45 @@ def test_a_file_system_without_locks_is_refused_and_left_as_it_was(
 # -- rivals
 
 
+def call_at_step(monkeypatch: pytest.MonkeyPatch, act: Callable[[], object]) -> SimpleNamespace:
+    """Do something in the middle of a lock.
+
+    ``until`` is the number of its steps in the file system before that, and None afterwards.
+    """
+    steps = SimpleNamespace(until=None)
+
+    def stepped(function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **named: Any) -> Any:
+            if steps.until is not None:
+                steps.until -= 1
+                if steps.until == 0:
+                    steps.until = None
+                    act()
+            return function(*arguments, **named)
+
+        return call
+
+    for room, names in (
+        (subject, ("_read", "_is_held")),
+        (Path, ("replace", "unlink")),
+        (FileLock, ("acquire", "release")),
+    ):
+        for name in names:
+            monkeypatch.setattr(room, name, stepped(getattr(room, name)))
+    monkeypatch.setattr(subject, "LOOK_S", 0.01)
+    return steps
+
+
+STAGES = ["nothing", "the file of a dead owner"]
+
+
+def begin(folder: Path, stage: str) -> None:
+    if stage != "nothing":
+        leave((folder / "lock.json"), Owner())
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("stage", ["nothing", "the file of a dead owner"])
+@pytest.mark.parametrize("stage", STAGES)
 @pytest.mark.parametrize("rival", [None, "1/2"])
 def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
     tmp_path: Path,
@@ -202,88 +241,55 @@ def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
     stage: str,
     rival: str | None,
 ) -> None:
-    """The random fights below in all their variants of one rival that is quick while the other one
-    is slow."""
-    until: int | None = None
-    """Steps until the rival comes; None when it has come."""
-
-    def stepped(function: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*arguments: Any, **named: Any) -> Any:
-            nonlocal until
-            if until is not None:
-                until -= 1
-                if until == 0:
-                    until = None
-                    come(None if rival is None else Shard.parse(rival))
-            return function(*arguments, **named)
-
-        return call
+    """The rival is quick while the other one is slow."""
 
     def come(shard: Shard | None = None) -> None:
         with suppress(BusyError):
             inside.append(stack.enter_context(Lock(folder, shard)))
 
-    for name in ("_read", "_is_held"):
-        monkeypatch.setattr(subject, name, stepped(getattr(subject, name)))
-    for name in ("replace", "unlink"):
-        monkeypatch.setattr(Path, name, stepped(getattr(Path, name)))
-    monkeypatch.setattr(FileLock, "acquire", stepped(FileLock.acquire))
-    monkeypatch.setattr(subject, "LOOK_S", 0.01)
-    dead = Owner()
+    shard_of_rival = None if rival is None else Shard.parse(rival)
+    steps = call_at_step(monkeypatch, lambda: come(shard_of_rival))
     for n_steps in count(1):
         folder = tmp_path / f"{n_steps}"
         inside = list[Lock]()
-        if stage != "nothing":
-            leave((folder / "lock.json"), dead)
+        begin(folder, stage)
         with ExitStack() as stack:
-            until = n_steps
+            steps.until = n_steps
             come()
-            if until is not None:  # there are fewer steps
+            if steps.until is not None:  # there are fewer steps
+                steps.until = None
                 break
             assert len(inside) == 1, n_steps
             living = [holder.owner for holder in holders(folder) if holder.alive]
             assert living == [inside[0].owner]
             inside[0].check()
-    until = None
     assert n_steps > 5
 
 
-def fight(
-    folder: Path,
-    seed: int,
-    n_lives: int,
-    n_inherited: int,
-    kinds: str,
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.parametrize("stage", STAGES)
+def test_the_lock_of_a_run_that_dies_at_any_step_is_free(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str
 ) -> None:
-    """Let rivals compete until so many lived, and so many took the lock of a dead one.
-
-    No two may be inside at once.
-    """
-    command = [
-        sys.executable,
-        str(RIVALS),
-        str(folder),
-        str(seed),
-        str(n_lives),
-        str(n_inherited),
-        kinds,
-    ]
-    result = run(command, capture_output=True, text=True, timeout=3600)
-    assert result.returncode == 0, result.stderr
-    counts: dict[str, int] = json.loads(result.stdout)
-    assert counts.get("VIOLATION", 0) == 0
-    assert counts.get("LOST", 0) == 0
-    assert counts["failed"] == 0, result.stderr
-    assert counts["inherited"] >= n_inherited, counts
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc and fork")
-@pytest.mark.parametrize(("seed", "kinds"), [(1, "whole"), (2, "whole,1/2,2/2,1/3")])
-def test_rivals_that_die_at_any_step_are_never_two_inside(
-    tmp_path: Path, seed: int, kinds: str
-) -> None:
-    fight(tmp_path, seed, 40, 8, kinds)
+    steps = call_at_step(monkeypatch, lambda: os._exit(DIED))
+    ended = DIED
+    for n_steps in count(1):
+        folder = tmp_path / f"{n_steps}"
+        begin(folder, stage)
+        pid = os.fork()
+        if pid == 0:  # as a kill would end it
+            steps.until = n_steps
+            with Lock(folder):
+                pass
+            os._exit(0)
+        ended = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        with Lock(folder) as lock:
+            assert [holder.owner for holder in holders(folder) if holder.alive] == [lock.owner]
+            lock.check()
+        assert holders(folder) == []
+        if ended != DIED:  # there are fewer steps
+            break
+    assert (ended, n_steps > 5) == (0, True)
 
 
 def test_a_shard_is_a_part_of_the_whole_and_the_same_for_ever() -> None:
