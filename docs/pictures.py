@@ -12,7 +12,7 @@ import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -24,12 +24,15 @@ from prc_cli.core.classes import LABEL_COLOURS
 from tests.browser import Browser, chromium
 
 IMAGES = Path(__file__).resolve().parent / "images"
-COLOURS = 64
+COLOURS = 96
+"""Colours of a picture beside those of the classes."""
 WIDEST = 1200
 HELD_MS = 1600
 """How long the raw ranges and the classes are shown in the moving picture."""
 TURNS = 10
 """Turns of the cloud by 5 degrees at its end."""
+PICKED = (194, 0, 122)
+"""Colour of the ring around a shot."""
 Box = tuple[float, float, float, float]
 
 
@@ -49,7 +52,9 @@ def save(picture: Image.Image, name: str, widest: int = WIDEST) -> None:
     if picture.width > widest:
         size = (widest, round(picture.height * widest / picture.width))
         picture = picture.resize(size, Image.Resampling.LANCZOS)
-    small = picture.quantize(COLOURS, dither=Image.Dither.NONE)
+    own = picture.quantize(COLOURS, dither=Image.Dither.NONE).getpalette() or []
+    palette = class_palette(own[: 3 * COLOURS])
+    small = picture.quantize(palette=palette, dither=Image.Dither.NONE)
     small.save(IMAGES / f"{name}.png", optimize=True)
 
 
@@ -57,6 +62,7 @@ def opened(browser: Browser, page: Path, width: int = 1200, height: int = 760) -
     """Open a page of prc and wait until it is drawn."""
     browser.open(page, width=width, height=height)
     browser.wait("document.readyState === 'complete'")
+    browser.wait("!document.getElementById('colours') || document.body.dataset.ready")
     for _ in range(3):
         browser.settle()
 
@@ -93,13 +99,13 @@ def demo() -> Path:
     return Path("prc-demo")
 
 
-def class_palette() -> Image.Image:
-    """Return a palette of greys, and of every class colour in light and shadow."""
-    shades = [(grey, grey, grey) for grey in range(24, 256, 11)] + [(234, 238, 241)]
+def class_palette(more: Sequence[int] = ()) -> Image.Image:
+    """Return a palette of greys, of every class colour in light and shadow, and of more."""
+    shades = [(grey, grey, grey) for grey in range(24, 256, 11)] + [(234, 238, 241), PICKED]
     for colour in LABEL_COLOURS.values():
         shades += [tuple(round(part * light) for part in colour) for light in (1, 0.85, 0.7)]
     palette = Image.new("P", (1, 1))
-    palette.putpalette([part for shade in shades for part in shade])
+    palette.putpalette([*(part for shade in shades for part in shade), *more])
     return palette
 
 
@@ -282,12 +288,12 @@ PICTURES: dict[str, Callable[[Browser], None]] = {
     "wrong_lines": wrong,
 }
 SHRUNK = {
-    "fused_forest_park": 900,
-    "sim_forest_view": 1100,
+    "fused_forest_park": 800,
+    "sim_forest_view": 860,
     "sim_static": WIDEST,
-    "sim_street_range": WIDEST,
+    "sim_street_range": 1100,
     "sim_street_view": WIDEST,
-    "static_scan": WIDEST,
+    "static_scan": 1100,
     "street": WIDEST,
 }
 """Pictures of long simulations and of real scans, whose commands are in design/."""
