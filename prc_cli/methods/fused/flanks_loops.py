@@ -159,7 +159,8 @@ def find_flanks(
         if k < 2 * LINES:
             continue
         line = k - 2 * LINES
-        all_levels[line] = levels[line]
+        for q in range(2 * STRIPS):
+            all_levels[line, q] = levels[line, q]
         sum_around(sums.length_m, line, lines, lengths)
         sum_around(wall, line, lines, walls)
         sum_around(sums.wall_place, line, lines, places)
