@@ -10,6 +10,7 @@ were looked at after every change and are spent."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -298,171 +299,16 @@ def _with_background(
     ), origin_m
 
 
-TRAIN = (
-    Simulated("residential, photon-80, gap up, preset noise", 9001, 80, "residential"),
-    Simulated(
-        "terraces, photon-80, gap down 55°, slant 20°, 5 %",
-        9002,
-        80,
-        "terraces",
-        mount={"centre_deg": 180.0, "field_deg": 305.0, "slant_deg": 20.0},
-        noise=0.05,
-    ),
-    Simulated(
-        "suburb, photon-80, gap down 50°, slant 45°, 2 %",
-        9003,
-        80,
-        "suburb",
-        mount={"centre_deg": 180.0, "field_deg": 310.0, "slant_deg": 45.0},
-        noise=0.02,
-    ),
-    Simulated(
-        "boulevard, photon-80, gap up, slant 20°, rolled 30°, 10 %",
-        9004,
-        80,
-        "boulevard",
-        mount={"roll_deg": 30.0, "slant_deg": 20.0},
-        noise=0.10,
-    ),
-    Simulated(
-        "mixed, photon-80, gap slanted down, slant 45°, 0 %",
-        9005,
-        80,
-        "mixed",
-        mount={"centre_deg": 180.0, "roll_deg": 45.0, "slant_deg": 45.0},
-        noise=0.0,
-    ),
-    Simulated(
-        "residential, sick-push-broom, 2 %", 9006, 80, "residential", "sick-push-broom", noise=0.02
-    ),
-    Simulated(
-        "suburb, sick-push-broom, set back 12 m, 0 %",
-        9007,
-        80,
-        "suburb",
-        "sick-push-broom",
-        noise=0.0,
-        setback_m=12.0,
-    ),
-    Simulated(
-        "terraces, sick-push-broom, 10 %", 9008, 80, "terraces", "sick-push-broom", noise=0.10
-    ),
-    Simulated(
-        "residential, profiler-1mhz, up to 4 returns, slant 25°, 5 %",
-        9009,
-        60,
-        "residential",
-        "profiler-1mhz",
-        noise=0.05,
-    ),
-    Simulated(
-        "boulevard, profiler-1mhz, up to 4 returns, slant 45°, 0 %",
-        9010,
-        60,
-        "boulevard",
-        "profiler-1mhz",
-        mount={"slant_deg": 45.0},
-        noise=0.0,
-    ),
-    Simulated(
-        "suburb, photon-80, gap up, heading 45°, 5 %",
-        9011,
-        80,
-        "suburb",
-        mount={"heading_deg": 45.0, "slant_deg": 20.0},
-        noise=0.05,
-    ),
-)
-"""Scans for tuning."""
-TRAIN_FOREST = (
-    Simulated("mixed", 9101, 15, "mixed", "focus3d-120", kind="forest"),
-    Simulated("pine-heath", 9102, 15, "pine-heath", "focus3d-120", kind="forest"),
-    Simulated("dense-spruce", 9103, 15, "dense-spruce", "focus3d-120", kind="forest"),
-)
+def simulations(group: str) -> tuple[Simulated, ...]:
+    """Return a group of the scans of ``scans.toml``."""
+    return tuple(Simulated(**{"seed": 0, **row}) for row in _SIMULATIONS[group])
 
-GAP_DOWN: dict[str, Any] = {"centre_deg": 180.0, "field_deg": 310.0, "slant_deg": 20.0}
-TEST_STREETS = (
-    Simulated("residential, photon-80, gap up, slant 25°, preset's noise", 7201, 80, "residential"),
-    Simulated(
-        "mixed, photon-80, gap of 50° down, slant 20°, preset's noise",
-        7202,
-        80,
-        "mixed",
-        mount=GAP_DOWN,
-    ),
-    Simulated(
-        "terraces, photon-80, gap of 50° down, slant 20°, 5 %",
-        7203,
-        80,
-        "terraces",
-        mount=GAP_DOWN,
-        noise=0.05,
-    ),
-    Simulated(
-        "suburb, photon-80, gap up, slant 45°, 2 %",
-        7204,
-        80,
-        "suburb",
-        mount={"slant_deg": 45.0},
-        noise=0.02,
-    ),
-    Simulated(
-        "boulevard, photon-80, gap up, rolled 30°, slant 20°, 10 %",
-        7205,
-        80,
-        "boulevard",
-        mount={"roll_deg": 30.0, "slant_deg": 20.0},
-        noise=0.10,
-    ),
-    Simulated(
-        "mixed, photon-80, gap down and 45° aside, slant 45°, 0 %",
-        7206,
-        80,
-        "mixed",
-        mount={"centre_deg": 180.0, "roll_deg": 45.0, "slant_deg": 45.0},
-        noise=0.0,
-    ),
-    Simulated(
-        "residential, photon-80, facades 12 m farther, turned 45°, 5 %",
-        7207,
-        80,
-        "residential",
-        mount={"heading_deg": 45.0},
-        noise=0.05,
-        setback_m=12.0,
-    ),
-    Simulated(
-        "residential, sick-push-broom, 2 %", 7208, 160, "residential", "sick-push-broom", noise=0.02
-    ),
-    Simulated("suburb, sick-push-broom, 0 %", 7209, 160, "suburb", "sick-push-broom", noise=0.0),
-    Simulated(
-        "terraces, sick-push-broom, 10 %", 7210, 160, "terraces", "sick-push-broom", noise=0.10
-    ),
-    Simulated(
-        "boulevard, profiler-1mhz, slant 25°, 5 %",
-        7211,
-        30,
-        "boulevard",
-        "profiler-1mhz",
-        noise=0.05,
-    ),
-    Simulated(
-        "mixed, profiler-1mhz, slant 45°, 0 %",
-        7212,
-        30,
-        "mixed",
-        "profiler-1mhz",
-        mount={"slant_deg": 45.0},
-        noise=0.0,
-    ),
-)
-"""Simulated streets for reporting; nothing is tuned on them."""
-TEST_FORESTS = (
-    Simulated("mixed forest", 7301, 15, "mixed", "focus3d-120", kind="forest"),
-    Simulated("pine heath", 7302, 15, "pine-heath", "focus3d-120", kind="forest"),
-    Simulated("dense spruce", 7303, 15, "dense-spruce", "focus3d-120", kind="forest"),
-)
-"""Simulated forests for reporting."""
+
+_SIMULATIONS = tomllib.loads(Path(__file__).with_name("scans.toml").read_text("utf-8"))
+TRAIN = simulations("tuning")
+TRAIN_FOREST = simulations("tuning_forests")
+TEST_STREETS = simulations("reported")
+TEST_FORESTS = simulations("reported_forests")
 NOISY_FORESTS = tuple(
     replace(spec, name=f"{spec.name}, 3 cm of noise", seed=spec.seed + 10, mount={"noise_m": 0.03})
     for spec in TEST_FORESTS

@@ -54,22 +54,6 @@ NAMES = {"horizontal": "ground", "vertical": "building"}
 Trunks, poles and curbs are vertical there, roofs horizontal; noise is not judged.
 """
 LEAST_SHOTS = 200
-WHOLE_TURN = {"azimuth_step_deg": 0.46}
-STREETS: dict[str, Simulated] = {
-    "profiler": Simulated("", 0, 60),
-    "profiler, noise": Simulated("", 0, 60, noise=0.05),
-    "push-broom": Simulated("", 0, 120, scanner="sick-push-broom"),
-    "push-broom, noise": Simulated("", 0, 120, scanner="sick-push-broom", noise=0.05),
-    "two returns": Simulated("", 0, 12, scanner="profiler-1mhz", mount={"max_returns": 2}),
-    "tripod": Simulated("", 0, 783, scanner="scanstation2", kind="street-scan", mount=WHOLE_TURN),
-    "tripod, noise": Simulated(
-        "", 0, 783, scanner="scanstation2", kind="street-scan", mount=WHOLE_TURN, noise=0.05
-    ),
-}
-"""Drives of so many metres, and tripods of so many lines.
-
-Without noise, only mixed ranges at edges remain.
-"""
 MARKED = Path(__file__).with_name("riegl_paris.csv")
 
 
@@ -94,9 +78,9 @@ def scans(seeds: list[int], others: Path | None) -> Iterator[tuple[str, str, Mak
     for seed in seeds:
         scene = SCENES[seed % len(SCENES)]
         wood = WOODS[seed % len(WOODS)]
-        for group, spec in STREETS.items():
+        for spec in data.simulations("labels"):
             settings = replace(spec, seed=seed, scene=scene, noise=spec.noise or 0.0)
-            yield group, f"{scene} {seed}", partial(written, partial(data.simulated, settings))
+            yield spec.name, f"{scene} {seed}", partial(written, partial(data.simulated, settings))
         forest = Simulated("", seed, 15, wood, "focus3d-120", kind="forest")
         yield "forest", f"{wood} {seed}", partial(written, partial(data.simulated, forest))
     for strip in (1, 2, 3):

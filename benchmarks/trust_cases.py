@@ -172,6 +172,17 @@ def dump(
     return ("--layout", str(layout))
 
 
+def recorded(
+    window: Window, context: Context, shots: Shots, names: str, *more: str, **aiming: Any
+) -> Told:
+    """Write records with the named fields; tell their layout, M, and straight down."""
+    path = context.folder / "scan.dat"
+    layout = dump(path, shots, names.split())
+    aimed = aim(window, context, **{"angles": False, **aiming})
+    options = (*layout, *more, "-M", str(window.points_per_line), *aimed)
+    return Told(path, options, shots["truth"])
+
+
 def aim(
     window: Window,
     context: Context,
@@ -193,12 +204,12 @@ def aim(
     """
     if not context.is_aimed:
         return ()
-    options: tuple[str, ...] = ()
-    if angles:
-        options += _set("angle_start", window.start_deg) + _set(
-            "angle_step", window.step_deg * step
-        )
+    options = _steps(window, step) if angles else ()
     return options if nadir is None else options + _set("nadir", window.nadir_deg + nadir)
+
+
+def _steps(window: Window, factor: float = 1.0) -> tuple[str, ...]:
+    return _set("angle_start", window.start_deg) + _set("angle_step", window.step_deg * factor)
 
 
 def _set(key: str, value: float) -> tuple[str, str]:
@@ -241,10 +252,7 @@ def array(window: Window, context: Context, step: float = 1.0, **aiming: Any) ->
 def listed(window: Window, context: Context) -> Told:
     """Write the returns as records with line, column, angle and time."""
     shots = shots_of(window, returns_only=True)
-    path = context.folder / "scan.dat"
-    layout = dump(path, shots, ("range", "angle", "time", "scan_line", "column"))
-    options = (*layout, "-M", str(window.points_per_line), *aim(window, context, angles=False))
-    return Told(path, options, shots["truth"])
+    return recorded(window, context, shots, "range angle time scan_line column")
 
 
 def text(window: Window, context: Context) -> Told:
@@ -337,10 +345,8 @@ def registered(window: Window, context: Context) -> Made:
     if window.world_m is None:
         return None
     shots = shots_of(window, returns_only=True)
-    path = context.folder / "scan.dat"
-    layout = dump(path, shots, ("range", "x", "y", "z", "scan_line", "column"))
-    options = (*layout, "-M", str(window.points_per_line), *aim(window, context, nadir=None))
-    return Told(path, options, shots["truth"])
+    names = "range x y z scan_line column"
+    return recorded(window, context, shots, names, angles=True, nadir=None)
 
 
 def trajectory_late(window: Window, context: Context) -> Made:
@@ -348,9 +354,7 @@ def trajectory_late(window: Window, context: Context) -> Made:
     if window.world_m is None or window.scanner_m is None:
         return None
     shots = shots_of(window, returns_only=True)
-    path = context.folder / "scan.dat"
     drive = context.folder / "drive.csv"
-    layout = dump(path, shots, ("x", "y", "z", "time", "angle", "scan_line", "column"))
     time_s = window.time_s.mean(axis=1)
     places = window.scanner_m + PLACE_M
     ends = np.array([-TRAJECTORY_ENDS_S, TRAJECTORY_ENDS_S])
@@ -359,18 +363,10 @@ def trajectory_late(window: Window, context: Context) -> Made:
     places = np.concatenate([places[:1] + ends[0] * speed, places, places[-1:] + ends[1] * speed])
     rows = np.column_stack([time_s, places])
     np.savetxt(drive, rows, delimiter=",", header="time,x,y,z", comments="", fmt="%.6f")
-    options = (
-        *layout,
-        "-M",
-        str(window.points_per_line),
-        "--range",
-        f"trajectory:{drive}",
-        "--set",
-        f"input.trajectory_max_gap={2 * TRAJECTORY_ENDS_S}",
-        *aim(window, context, angles=False),
-    )
-    late = (*options, "--set", "input.trajectory_time_offset=1")
-    return Pair(Told(path, late, shots["truth"]), Told(path, options, shots["truth"]))
+    options = ("--range", f"trajectory:{drive}", *_set("trajectory_max_gap", 2 * TRAJECTORY_ENDS_S))
+    right = recorded(window, context, shots, "x y z time angle scan_line column", *options)
+    late = (*right.options, *_set("trajectory_time_offset", 1))
+    return Pair(replace(right, options=late), right)
 
 
 def step_times(factor: float) -> Callable[[Window, Context], Made]:
@@ -395,11 +391,8 @@ def radians(window: Window, context: Context) -> Made:
 
 def angles_mirrored(window: Window, context: Context) -> Made:
     stated = plain(window, context)
-    aimed = _set("angle_start", window.start_deg) + _set("angle_step", -window.step_deg)
-    return replace(
-        stated,
-        options=("-M", str(window.points_per_line), *aimed, *_set("nadir", window.nadir_deg)),
-    )
+    aimed = (*_steps(window, -1.0), *_set("nadir", window.nadir_deg))
+    return replace(stated, options=("-M", str(window.points_per_line), *aimed))
 
 
 # M
@@ -467,23 +460,8 @@ def buffer_lost(window: Window, context: Context) -> Made:
     return flat(window, context, window.range_m.ravel()[keep], window.codes.ravel()[keep])
 
 
-def converted(window: Window, context: Context) -> Made:
+def converted(window: Window, context: Context) -> Told:
     """A dump of ``prc convert`` with its layout beside it, which is not named."""
-    words = ("-M", str(window.points_per_line), *aim(window, context))
-    return Told(_converted(window, context), words, window.codes.ravel())
-
-
-def converted_without_layout(window: Window, context: Context) -> Made:
-    """The same where the layout is gone: eight fields a shot read as plain ranges."""
-    path = _converted(window, context)
-    path.with_name("scan.bin.toml").unlink()
-    words = path.stat().st_size // 4 // window.range_m.size
-    truth = np.zeros((window.range_m.size, words), np.int64)
-    truth[:, 0] = window.codes.ravel()  # the range comes first
-    return Told(path, ("-M", str(window.points_per_line), *aim(window, context)), truth.ravel())
-
-
-def _converted(window: Window, context: Context) -> Path:
     source = context.folder / "before.npz"
     intensity = np.where(np.isnan(window.range_m), np.nan, 100.0).astype(np.float32)
     np.savez(
@@ -497,7 +475,17 @@ def _converted(window: Window, context: Context) -> Path:
     path = context.folder / "converted" / "scan.bin"
     path.parent.mkdir(exist_ok=True)
     convert(source, path, overwrite=True)
-    return path
+    return replace(plain(window, context), path=path)
+
+
+def converted_without_layout(window: Window, context: Context) -> Made:
+    """The same where the layout is gone: eight fields a shot read as plain ranges."""
+    stated = converted(window, context)
+    stated.path.with_name("scan.bin.toml").unlink()
+    words = stated.path.stat().st_size // 4 // window.range_m.size
+    truth = np.zeros((window.range_m.size, words), np.int64)
+    truth[:, 0] = window.codes.ravel()  # the range comes first
+    return replace(stated, truth=truth.ravel())
 
 
 def transposed(window: Window, context: Context) -> Made:
@@ -517,13 +505,13 @@ def shuffled_shots(window: Window, context: Context) -> Made:
 
 
 def shuffled_lines(window: Window, context: Context) -> Made:
-    cells = np.arange(window.range_m.size).reshape(window.range_m.shape)
-    return _reordered(window, context, cells[context.random.permutation(window.n_lines)].ravel())
+    lines = context.random.permutation(window.n_lines)
+    return _reordered(window, context, window.cells()[lines].ravel())
 
 
 def zigzag(window: Window, context: Context) -> Made:
     """Every other line runs back."""
-    cells = np.arange(window.range_m.size).reshape(window.range_m.shape)
+    cells = window.cells()
     cells[1::2] = cells[1::2, ::-1]
     return _reordered(window, context, cells.ravel())
 
@@ -531,25 +519,13 @@ def zigzag(window: Window, context: Context) -> Made:
 def timed(window: Window, context: Context, shots: Shots) -> Told:
     """Write shots with times: lines of fixed M, or returns alone with lines from the wrap of the
     angle."""
-    path = context.folder / "scan.dat"
     if context.random.random() < 0.5:
-        layout = dump(path, shots, ("range", "time"))
-        return Told(
-            path,
-            (*layout, "-M", str(window.points_per_line), *aim(window, context)),
-            shots["truth"],
-        )
+        return recorded(window, context, shots, "range time", angles=True)
     shots = taken(shots, np.flatnonzero(~np.isnan(shots["range"])))
+    path = context.folder / "scan.dat"
     layout = dump(path, shots, ("range", "angle", "time"))
-    options = (
-        *layout,
-        "--lines",
-        "angle-wrap",
-        "--columns",
-        "angle",
-        *_set("angle_start", window.start_deg),
-    )
-    options += (*_set("angle_step", window.step_deg), *aim(window, context, angles=False))
+    wrap = ("--lines", "angle-wrap", "--columns", "angle", *_steps(window))
+    options = (*layout, *wrap, *aim(window, context, angles=False))
     return Told(path, options, shots["truth"])
 
 
@@ -562,8 +538,7 @@ def _in_blocks(
     window: Window, n: int, order: Callable[[int], Sequence[int]]
 ) -> NDArray[np.integer[Any]]:
     """Return the cells with blocks of whole lines in another order."""
-    cells = np.arange(window.range_m.size).reshape(window.range_m.shape)
-    parts = np.array_split(cells, n)
+    parts = np.array_split(window.cells(), n)
     return np.concatenate([parts[i].ravel() for i in order(n)])
 
 
@@ -577,7 +552,7 @@ def permuted_blocks(n: int) -> Callable[[Window, Context], Made]:
 
 def lines_twice(window: Window, context: Context) -> Made:
     """Fifty lines are in the file twice, as after a copy that was resumed."""
-    cells = np.arange(window.range_m.size).reshape(window.range_m.shape)
+    cells = window.cells()
     first = window.n_lines // 3
     order = np.concatenate([cells[: first + 50], cells[first:]])
     return timed(window, context, taken(shots_of(window), order.ravel()))
@@ -589,15 +564,7 @@ def line_numbers_begin_anew(window: Window, context: Context) -> Made:
     shots["scan_line"] = np.where(
         shots["scan_line"] < half, shots["scan_line"], shots["scan_line"] - half
     )
-    path = context.folder / "scan.dat"
-    names = ("range", "angle", "time", "scan_line", "column")
-    options = (
-        *dump(path, shots, names),
-        "-M",
-        str(window.points_per_line),
-        *aim(window, context, angles=False),
-    )
-    return Told(path, options, shots["truth"])
+    return recorded(window, context, shots, "range angle time scan_line column")
 
 
 def _from_half_on(window: Window, change: Callable[[F64], F64]) -> Shots:
@@ -624,21 +591,10 @@ def restart_sorted(window: Window, context: Context) -> Made:
     back = float(window.time_s[window.n_lines // 2, 0] - window.time_s[0, 0])
     shots = _from_half_on(window, lambda time_s: time_s - back)
     shots = taken(shots, np.flatnonzero(~np.isnan(shots["range"])))
-    path = context.folder / "scan.dat"
-    layout = dump(path, shots, ("range", "angle", "time", "column"))
-    options = (
-        *layout,
-        "--sort-by-time",
-        "--lines",
-        f"time:{window.line_hz:.10g}",
-        "--columns",
-        "dimension:column",
-        *_set("time_origin", float(window.time_s[0, 0]) - 1e-7),
-        "-M",
-        str(window.points_per_line),
-        *aim(window, context, angles=False),
-    )
-    return Told(path, options, shots["truth"])
+    lines = ("--sort-by-time", "--lines", f"time:{window.line_hz:.10g}")
+    columns = ("--columns", "dimension:column")
+    origin = _set("time_origin", float(window.time_s[0, 0]) - 1e-7)
+    return recorded(window, context, shots, "range angle time column", *lines, *columns, *origin)
 
 
 def two_scanners(window: Window, context: Context) -> Made:
@@ -651,16 +607,8 @@ def two_scanners(window: Window, context: Context) -> Made:
     shots = taken(shots, np.flatnonzero(shots["scan_line"] < 2 * half))
     shots["user_data"], shots["scan_line"] = np.divmod(shots["scan_line"], half)
     shots = taken(shots, np.lexsort((shots["user_data"], shots["column"], shots["scan_line"])))
-    path = context.folder / "scan.dat"
-    names = ("range", "angle", "scan_line", "column", "user_data")
-    options = (
-        *dump(path, shots, names),
-        "-M",
-        str(window.points_per_line),
-        *aim(window, context, angles=False),
-    )
-    right = (*options, "--scanner", "user_data")
-    return Pair(Told(path, options, shots["truth"]), Told(path, right, shots["truth"]))
+    wrong = recorded(window, context, shots, "range angle scan_line column user_data")
+    return Pair(wrong, replace(wrong, options=(*wrong.options, "--scanner", "user_data")))
 
 
 # Platform and sensor
@@ -724,37 +672,37 @@ class QuickCase:
     method: str
 
 
-QUICK_CASES: tuple[QuickCase, ...] = (
-    QuickCase("down not told", "street", "fused"),
-    QuickCase("scan_line goes back", "street", "fused"),
-    QuickCase("100 blocks shuffled, with times", "street", "prc"),
-    QuickCase("M doubled", "street", "fused"),
-    QuickCase("GPS week ends", "push-broom", "fused"),
-    QuickCase("times begin anew", "street", "fused"),
-    QuickCase("heights in the file, angles told", "street", "fused"),
-    QuickCase("right: with times", "street", "fused"),
-    QuickCase("right: with times", "push-broom", "prc push-broom"),
-    QuickCase("right: seam elsewhere", "street", "fused"),
-    QuickCase("right: seam elsewhere", "push-broom", "fused"),
-    QuickCase("down wrong by 45°", "street", "fused"),
-    QuickCase("down wrong by 180°", "push-broom", "fused"),
-    QuickCase("angle step × 0.5", "push-broom", "fused"),
-    QuickCase("M wrong by one", "push-broom", "fused"),
-    QuickCase("M halved", "street", "prc"),
-    QuickCase("ranges × 100", "street", "fused"),
-    QuickCase("ranges × 0.001", "push-broom", "prc push-broom"),
-    QuickCase("wrong byte order", "street", "prc"),
-    QuickCase("two bytes off", "push-broom", "fused"),
-    QuickCase("u4 mm read as f4", "street", "fused"),
-    QuickCase("dump of prc convert, its layout not named", "street", "fused"),
-    QuickCase("dump of prc convert, its layout gone", "street", "fused"),
-    QuickCase("transposed", "street", "fused"),
-    QuickCase("header read as shots", "street", "fused"),
-    QuickCase("a buffer lost", "push-broom", "fused"),
-    QuickCase("shots shuffled", "push-broom", "prc push-broom"),
-    QuickCase("lines shuffled", "forest", "fused-forest"),
-    QuickCase("zigzag lines", "forest", "fused-forest"),
-    QuickCase("restart sorted by time", "street", "fused"),
-    QuickCase("two scanners, not split", "push-broom", "fused"),
-    QuickCase("30 % of the shots lost", "push-broom", "fused"),
-)
+_QUICK_CASES = """\
+down not told | street | fused
+scan_line goes back | street | fused
+100 blocks shuffled, with times | street | prc
+M doubled | street | fused
+GPS week ends | push-broom | fused
+times begin anew | street | fused
+heights in the file, angles told | street | fused
+right: with times | street | fused
+right: with times | push-broom | prc push-broom
+right: seam elsewhere | street | fused
+right: seam elsewhere | push-broom | fused
+down wrong by 45° | street | fused
+down wrong by 180° | push-broom | fused
+angle step × 0.5 | push-broom | fused
+M wrong by one | push-broom | fused
+M halved | street | prc
+ranges × 100 | street | fused
+ranges × 0.001 | push-broom | prc push-broom
+wrong byte order | street | prc
+two bytes off | push-broom | fused
+u4 mm read as f4 | street | fused
+dump of prc convert, its layout not named | street | fused
+dump of prc convert, its layout gone | street | fused
+transposed | street | fused
+header read as shots | street | fused
+a buffer lost | push-broom | fused
+shots shuffled | push-broom | prc push-broom
+lines shuffled | forest | fused-forest
+zigzag lines | forest | fused-forest
+restart sorted by time | street | fused
+two scanners, not split | push-broom | fused
+30 % of the shots lost | push-broom | fused"""
+QUICK_CASES = tuple(QuickCase(*line.split(" | ")) for line in _QUICK_CASES.splitlines())

@@ -8,14 +8,14 @@ mountings, other strips) are only reported."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from benchmarks import contest_data as data
-from benchmarks.contest_data import GAP_DOWN, Scan, Simulated
+from benchmarks.contest_data import Scan, Simulated
 from benchmarks.pages import DATA
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.simulation.scanners import SCANNERS
@@ -77,6 +77,10 @@ class Window:
     def line_hz(self) -> float:
         """Scan lines a second [Hz]."""
         return float((self.n_lines - 1) / (self.time_s[-1, 0] - self.time_s[0, 0]))
+
+    def cells(self) -> I64:
+        """Return the number of every shot, (lines, M) int64."""
+        return np.arange(self.range_m.size).reshape(self.range_m.shape)
 
     def angle_deg(self) -> F64:
         """Return the scan angle of every column, (M,) float64 [deg]."""
@@ -147,143 +151,16 @@ _LINES = {"photon-80": 256, "focus3d-120": 144, "profiler-1mhz": 144, "sick-push
 """Lines of a window by scanner."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Plan:
-    """A simulated scan of a set."""
-
-    name: str
-    length_m: float
-    scene: str
-    scanner: str = "photon-80"
-    mount: dict[str, Any] = field(default_factory=dict)
-    noise: float | None = None
-    kind: Literal["street", "forest"] = "street"
-
-    def source(self, part: Part, seed: int, *, is_short: bool) -> Source:
-        n_lines = _LINES[self.scanner]
-        spec = Simulated(
-            self.name,
-            seed,
-            self.length_m,
-            self.scene,
-            self.scanner,
-            self.mount,
-            self.noise,
-            self.kind,
-        )
-        if is_short:
-            line_hz = self.mount.get("line_hz", SCANNERS[self.scanner].line_hz)
-            speed_m_s = 1.1 if self.kind == "forest" else 8.33
-            spec = replace(spec, length_m=1.5 * n_lines * speed_m_s / line_hz)
-        return Source(self.name, part, partial(data.simulated, spec), n_lines, spec)
+def source(spec: Simulated, part: Part, *, is_short: bool) -> Source:
+    """Return a simulated scan, whole or as short as a quick run needs it."""
+    n_lines = _LINES[spec.scanner]
+    if is_short:
+        line_hz = spec.mount.get("line_hz", SCANNERS[spec.scanner].line_hz)
+        speed_m_s = 1.1 if spec.kind == "forest" else 8.33
+        spec = replace(spec, length_m=1.5 * n_lines * speed_m_s / line_hz)
+    return Source(spec.name, part, partial(data.simulated, spec), n_lines, spec)
 
 
-_WALK: dict[str, Any] = {"scanner": "focus3d-120", "kind": "forest"}
-_PLANS: dict[Part, tuple[_Plan, ...]] = {
-    "tuning": (
-        _Plan("residential, photon-80, gap up, slant 25°", 150, "residential"),
-        _Plan("mixed, photon-80, gap of 50° down, slant 20°", 150, "mixed", mount=GAP_DOWN),
-        _Plan(
-            "suburb, photon-80, gap of 40° down and 30° aside, slant 45°",
-            150,
-            "suburb",
-            mount={"centre_deg": 180.0, "roll_deg": 30.0, "slant_deg": 45.0},
-            noise=0.02,
-        ),
-        _Plan("residential, sick-push-broom", 300, "residential", "sick-push-broom", noise=0.02),
-        _Plan("boulevard, profiler-1mhz, slant 25°", 24, "boulevard", "profiler-1mhz", noise=0.02),
-        _Plan("mixed forest, gap of 55° down, slant 20°", 6, "mixed", **_WALK),
-    ),
-    "held-out": (
-        _Plan(
-            "mixed, photon-80, gap of 70° down, slant 45°",
-            150,
-            "mixed",
-            mount={"centre_deg": 180.0, "field_deg": 290.0, "slant_deg": 45.0},
-        ),
-        _Plan(
-            "terraces, photon-80, gap up, turned 45°, slant 20°",
-            150,
-            "terraces",
-            mount={"heading_deg": 45.0, "slant_deg": 20.0},
-            noise=0.05,
-        ),
-        _Plan(
-            "boulevard, photon-80, gap of 40° 60° from up, slant 30°",
-            150,
-            "boulevard",
-            mount={"roll_deg": -60.0, "slant_deg": 30.0},
-            noise=0.02,
-        ),
-        _Plan(
-            "suburb, focus3d-120 on a car, gap of 55° down, upright",
-            90,
-            "suburb",
-            "focus3d-120",
-            mount={"slant_deg": 0.0, "height_m": 2.9},
-        ),
-        _Plan(
-            "residential, profiler of 300 kHz, seam aside, slant 35°",
-            48,
-            "residential",
-            "profiler-1mhz",
-            mount={
-                "points_per_line": 3000,
-                "line_hz": 100.0,
-                "roll_deg": 90.0,
-                "slant_deg": 35.0,
-                "height_m": 3.2,
-            },
-            noise=0.02,
-        ),
-        _Plan(
-            "mixed, profiler-1mhz, slant 45°",
-            24,
-            "mixed",
-            "profiler-1mhz",
-            mount={"slant_deg": 45.0},
-            noise=0.0,
-        ),
-        _Plan(
-            "terraces, sick-push-broom on the other side",
-            300,
-            "terraces",
-            "sick-push-broom",
-            mount={"centre_deg": -90.0},
-            noise=0.05,
-        ),
-        _Plan(
-            "boulevard, sick-push-broom looking down",
-            300,
-            "boulevard",
-            "sick-push-broom",
-            mount={"centre_deg": 0.0, "height_m": 2.8},
-            noise=0.02,
-        ),
-        _Plan(
-            "mixed forest, gap of 55° down and 20° aside, slant 35°",
-            6,
-            "mixed",
-            mount={"roll_deg": 20.0, "slant_deg": 35.0},
-            **_WALK,
-        ),
-        _Plan("pine heath, gap of 55° down, slant 20°", 6, "pine-heath", **_WALK),
-        _Plan(
-            "dense spruce, gap up, slant 20°", 6, "dense-spruce", mount={"centre_deg": 0.0}, **_WALK
-        ),
-    ),
-}
-_TOYS: dict[str, _Plan] = {
-    "street": _Plan(
-        "street",
-        45,
-        "residential",
-        mount={**GAP_DOWN, "points_per_line": 718, "line_hz": 48.0, "divergence_mrad": 2.0},
-        noise=0.02,
-    ),
-    "push-broom": _Plan("push-broom", 115, "residential", "sick-push-broom", noise=0.02),
-    "forest": _Plan("forest", 1.7, "mixed", mount={"points_per_line": 1424}, **_WALK),
-}
 TOY_SEED = 59_000
 _QUICK: dict[Part, tuple[int, ...]] = {"tuning": (1, 3, 5), "held-out": (0, 7, 10)}
 """Scans of a quick run."""
@@ -291,9 +168,10 @@ _QUICK: dict[Part, tuple[int, ...]] = {"tuning": (1, 3, 5), "held-out": (0, 7, 1
 
 def sources(part: Part, seed: int = 0, *, is_quick: bool = False) -> Iterator[Source]:
     """Return the scans of a set that are made of lines; real ones if available."""
-    for i, plan in enumerate(_PLANS[part]):
+    for i, spec in enumerate(data.simulations(f"trust_{part.replace('-', '_')}")):
         if not is_quick or i in _QUICK[part]:
-            yield plan.source(part, FIRST_SEED[part] + SEEDS_APART * seed + i, is_short=is_quick)
+            seed_of_scan = FIRST_SEED[part] + SEEDS_APART * seed + i
+            yield source(replace(spec, seed=seed_of_scan), part, is_short=is_quick)
     strips = (1,) if part == "tuning" else (2, 3)
     if (DATA / "oakland").exists() and not is_quick:
         for strip in strips:
@@ -302,4 +180,5 @@ def sources(part: Part, seed: int = 0, *, is_quick: bool = False) -> Iterator[So
 
 def toy(name: str) -> Source:
     """Return a small scan for tests."""
-    return _TOYS[name].source("tuning", TOY_SEED, is_short=False)
+    (spec,) = (spec for spec in data.simulations("trust_toys") if spec.name == name)
+    return source(replace(spec, seed=TOY_SEED), "tuning", is_short=False)
