@@ -20,6 +20,7 @@ from benchmarks import contest_data as data
 from benchmarks.contest_data import Scan
 from benchmarks.contest_judge import judge, judge_things
 from benchmarks.contest_methods import label
+from benchmarks.pages import table
 from prc_cli.config import load_config
 from prc_cli.methods.forest.thresholds import FOREST, Forest
 from prc_cli.methods.fused import pipeline
@@ -39,18 +40,18 @@ def changed(limits: LimitsT, **tables: Any) -> LimitsT:
     A name instead of a number is another limit of the same table. A table that is left out already
     stays so."""
     result: Tables = {}
-    for table, values in tables.items():
-        before = getattr(limits, table)
+    for name, values in tables.items():
+        before = getattr(limits, name)
         if isinstance(values, dict) and before is not None:
             changes = {
                 key: getattr(before, value) if isinstance(value, str) else value
                 for key, value in values.items()
             }
-            result[table] = before._replace(
+            result[name] = before._replace(
                 **{key: type(getattr(before, key))(value) for key, value in changes.items()}
             )
         elif before is not None:
-            result[table] = values
+            result[name] = values
     return limits._replace(**result)
 
 
@@ -114,14 +115,10 @@ def main() -> None:
         steps = FOREST_STEPS if group == "forests" else STREET_STEPS
         for name in ("all steps", *steps):
             with ExitStack() as patches:
-                if name in FOREST_STEPS:
-                    patches.enter_context(
-                        mock.patch.object(pipeline, "FOREST", changed(FOREST, **steps[name]))
-                    )
-                elif name in STREET_STEPS:
-                    patches.enter_context(
-                        mock.patch.object(pipeline, "STREET", changed(STREET, **steps[name]))
-                    )
+                if name in steps:
+                    kind, limits = ("FOREST", FOREST) if group == "forests" else ("STREET", STREET)
+                    without = changed(limits, **steps[name])
+                    patches.enter_context(mock.patch.object(pipeline, kind, without))
                 rows.setdefault(name, {}).setdefault(group, []).append(f1_of(scan))
     print_steps(rows, rows["all steps"])
 
@@ -130,9 +127,7 @@ def print_steps(
     rows: dict[str, dict[str, list[dict[str, float]]]], whole: dict[str, list[dict[str, float]]]
 ) -> None:
     """Print what is lost without every step."""
-    print(
-        f"| without | {' | '.join(whole)} | most lost by a class |\n|---|{'---:|' * len(whole)}---|"
-    )
+    table_rows = []
     for name, scores_by_group in rows.items():
         cells = []
         lost = []
@@ -154,7 +149,8 @@ def print_steps(
                 ]
                 lost.append((float(np.mean(off)), f"{class_name}, {group}"))
         most = "" if name == "all steps" else f"{min(lost)[0]:+.3f} {min(lost)[1]}"
-        print(f"| {name} | {' | '.join(cells)} | {most} |")
+        table_rows.append((name, *cells, most))
+    table(("without", *whole, "most lost by a class"), table_rows)
 
 
 if __name__ == "__main__":

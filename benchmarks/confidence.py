@@ -13,24 +13,21 @@ never right."""
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
 from unittest import mock
 
 import numpy as np
 
 from benchmarks import contest_data as data
 from benchmarks.contest_data import Scan, Simulated
-from benchmarks.pages import DATA, ROOT, duration, heading, parser_of
-from benchmarks.user import in_process
+from benchmarks.contest_judge import MAPPINGS
+from benchmarks.pages import ROOT, duration, heading, parser_of
 from prc_cli.config import load_config
 from prc_cli.core.classes import Label
-from prc_cli.core.types import F64, I32, I64, U8, Mask
+from prc_cli.core.types import F64, I32, U8, Mask
 from prc_cli.evaluation.mapping import load_mapping
-from prc_cli.formats.labels import open_codes
 from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.base import Wanted
 from prc_cli.methods.fused import confidence, pipeline
@@ -130,7 +127,7 @@ def judge(scan: Scan, environment: Environment) -> Judged:
 
 def _right(scan: Scan, labels: U8) -> tuple[Mask, Mask]:
     """Return which labels are those of the reference, and which can be judged."""
-    names = {"street": "street", "oakland": "street_oakland", "kitti": "street_scan_kitti"}
+    names = {"street": "street", "oakland": "street_oakland", "kitti": MAPPINGS["kitti"]}
     codes = load_config().config.classes.lookup()[labels].astype(np.int64)
     there: Mask = ~np.isnan(scan.range_m) & (scan.codes != 0)
     if scan.mapping not in names:
@@ -146,11 +143,8 @@ def _right(scan: Scan, labels: U8) -> tuple[Mask, Mask]:
     return right, there & (rows[reference] != "")
 
 
-def table_of(
-    judged: Sequence[Judged], environment: Environment, dropped: tuple[str, ...] = ()
-) -> U8:
-    """Return the share of right labels in every cell [per cent], without the answers to some
-    questions."""
+def table_of(judged: Sequence[Judged], environment: Environment) -> U8:
+    """Return the share of right labels in every cell [per cent]."""
     table = np.zeros((len(Label), N_CELLS), np.uint8)
     for label, questions in QUESTIONS[environment].items():
         of_label = [
@@ -171,9 +165,6 @@ def table_of(
         shape = (4,) * len(questions)
         n = n.reshape(shape)
         right = right.reshape(shape)
-        for name in set(dropped) & set(questions):
-            axis = questions.index(name)
-            n, right = (np.broadcast_to(x.sum(axis, keepdims=True), shape) for x in (n, right))
         share = right.sum() / n.sum()
         for k in range(1, len(questions) + 1):
             rest = tuple(range(k, len(questions)))
@@ -285,9 +276,6 @@ def check(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
 
 
 NAMES: dict[Environment, str] = {"urban": "streets", "forest": "forests"}
-ABLATION = """\
-The table is made anew without the answers to one question. Calibrated on seeds 2601 to 2699, other
-scans of seeds 2701 to 2799, on which the questions were chosen."""
 ABOUT = """\
 Every simulated scan counts as much as any other. *Nine tenths*: the share of right labels among the
 nine tenths of the shots with the most confidence; of shots with one confidence, each counts in
@@ -349,128 +337,46 @@ def curve(lines: dict[str, list[tuple[str, float, float, float]]]) -> str:
 
     Confidence across, share of right labels up.
     """
-    side = 360
-    edge = 50
     colours = ("#0072b2", "#d55e00", "#009e73")
+    # a per cent is a unit, across and up
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{side + 2 * edge}" '
-        f'height="{side + 2 * edge}" '
-        'font-family="sans-serif" font-size="12">',
-        f'<rect width="{side + 2 * edge}" height="{side + 2 * edge}" fill="white"/>',
-        (
-            f'<path d="M{edge},{edge + side} L{edge + side},{edge}" stroke="#999" '
-            'stroke-dasharray="4"/>'
-        ),
+        '<svg xmlns="http://www.w3.org/2000/svg" width="460" viewBox="-14 -14 128 128" '
+        'font-family="sans-serif" font-size="3.5" fill="none">'
+        '<path d="M-14,-14 h128 v128 h-128 z" fill="white"/>'
+        '<path d="M0,100 L100,0" stroke="#999" stroke-width="0.3" stroke-dasharray="1"/>'
     ]
-    for tick in range(0, 101, 20):
-        position = side * tick / 100
-        parts.append(
-            f'<text x="{edge + position}" y="{edge + side + 18}" text-anchor="middle">{tick}</text>'
-        )
-        parts.append(
-            f'<text x="{edge - 8}" y="{edge + side - position + 4}" text-anchor="end">{tick}</text>'
-        )
-        parts.append(f'<path d="M{edge},{edge + side - position} h{side}" stroke="#ddd"/>')
+    parts += [
+        f'<path d="M0,{100 - tick} h100" stroke="#ddd" stroke-width="0.3"/><g fill="black">'
+        f'<text x="{tick}" y="105" text-anchor="middle">{tick}</text>'
+        f'<text x="-2" y="{101 - tick}" text-anchor="end">{tick}</text></g>'
+        for tick in range(0, 101, 20)
+    ]
     for k, (name, rows) in enumerate(lines.items()):
-        places = [
-            (edge + side * mean / 100, edge + side * (1 - share / 100))
-            for _, mean, share, _ in rows
-        ]
-        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
+        path = " ".join(f"{mean:.1f},{100 - share:.1f}" for _, mean, share, _ in rows)
         parts.append(
-            f'<polyline points="{path}" fill="none" stroke="{colours[k]}" stroke-width="2"/>'
-        )
-        parts += [
-            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{colours[k]}"/>' for x, y in places
-        ]
-        parts.append(
-            f'<text x="{edge + 12}" y="{edge + 20 + 16 * k}" fill="{colours[k]}">{name}</text>'
+            f'<polyline points="{path}" stroke="{colours[k]}" stroke-width="0.6"/>'
+            f'<text x="3" y="{5 + 5 * k}" fill="{colours[k]}">{name}</text>'
         )
     parts.append(
-        f'<text x="{edge + side / 2}" y="{edge + side + 38}" '
-        'text-anchor="middle">confidence [%]</text>'
+        '<g fill="black"><text x="50" y="111" text-anchor="middle">confidence [%]</text>'
+        '<text x="-10" y="-4">labels that are right [%]</text></g></svg>'
     )
-    parts.append(f'<text x="14" y="{edge - 14}">labels that are right [%]</text></svg>')
     return "\n".join(parts) + "\n"
 
 
-REAL: dict[str, tuple[str, str, tuple[str, ...], str]] = {
-    **{
-        f"Oakland {k}": (
-            f"oakland/oakland_{k}.csv.gz",
-            f"oakland/oakland_{k}.csv.gz",
-            (),
-            "street_oakland",
-        )
-        for k in (1, 2, 3)
-    },
-    "KITTI frame": (
-        "kitti/000000.bin",
-        "kitti/000000.label",
-        ("--config", "sample_configs/kitti_frame.toml"),
-        "kitti",
-    ),
-}
-"""Scan, reference, options of ``prc classify`` and mapping."""
+REAL_TEXT = """\
+By the mapping `street_oakland`; the first strip is one that `fused` was tuned on, nothing about
+confidence was chosen on any. Of the KITTI frame ground, building and vegetation are compared; no
+ring scanner is simulated, so its confidence is that of profilers."""
 
 
 def print_real(lines: dict[str, list[tuple[str, float, float, float]]]) -> None:
-    """Classify and compare the real scans by the command line."""
+    """Judge the real scans."""
     print(f"\n## Real scans\n\n{REAL_TEXT}\n\n{HEAD}")
-    oakland: list[Judged] = []
-    with tempfile.TemporaryDirectory() as name:
-        for scan, (source, reference, options, mapping) in REAL.items():
-            output = Path(name) / "labels.csv"
-            on = ("--preset", "fused", "--set", "output.confidence=true", "--overwrite", "-q")
-            code, said = in_process(["classify", str(DATA / source), str(output), *options, *on])
-            if code not in (0, 4):
-                raise SystemExit(said)
-            table: F64 = np.genfromtxt(output, delimiter=",", skip_header=1, usecols=(1, 3))
-            codes, shots = table.T.astype(np.int64)
-            side = CodesOf(mapping, DATA / reference)
-            right, there = side.right(codes)
-            labels = np.zeros(len(codes), np.uint8)
-            judged_scan = Judged(
-                scan,
-                labels[there],
-                np.zeros(int(there.sum()), np.int32),
-                right[there],
-                shots[there].astype(np.uint8),
-            )
-            print(row(scan, [judged_scan]), flush=True)
-            oakland += [judged_scan] if scan.startswith("Oakland") else []
-    lines["Oakland 1 to 3"] = reliability(oakland)
-
-
-REAL_TEXT = """\
-By `prc classify --preset fused --set output.confidence=true` and the mapping `street_oakland`; the
-first strip is one that `fused` was tuned on, nothing about confidence was chosen on any. Of the
-KITTI frame ground, building, vegetation and cars are compared; no ring scanner is simulated, so its
-confidence is that of profilers."""
-
-
-@dataclass(frozen=True, slots=True)
-class CodesOf:
-    """The reference of a real scan."""
-
-    mapping: str
-    path: Path
-
-    def right(self, codes: I64) -> tuple[Mask, Mask]:
-        """Return which codes agree, and which records are compared."""
-        reference = np.concatenate(list(open_codes(self.path).codes())).astype(np.int64)
-        if self.mapping == "kitti":
-            kinds = {2: (40, 44, 48, 49, 60, 72), 6: (50, 51, 52), 5: (70, 71), 65: (10, 252)}
-            expected = np.zeros(len(codes), np.int64)
-            for code, reference_codes in kinds.items():
-                expected[np.isin(reference, reference_codes)] = code
-            return np.where(codes == 66, 2, codes) == expected, expected > 0
-        mapping = load_mapping(self.mapping)
-        rows = mapping.class_indices(reference, "reference")
-        columns = mapping.class_indices(codes, "predicted")
-        names = np.array([*mapping.names("reference"), ""])
-        others = np.array([*mapping.names("predicted"), "-"])
-        return names[rows] == others[columns], (rows >= 0) & (columns >= 0)
+    strips = [judge(data.oakland(k), "urban") for k in (1, 2, 3)]
+    for judged_scan in (*strips, judge(data.kitti(), "urban")):
+        print(row(judged_scan.name, [judged_scan]), flush=True)
+    lines["Oakland 1 to 3"] = reliability(strips)
 
 
 def report(environments: Sequence[Environment] = ENVIRONMENTS) -> None:

@@ -15,15 +15,16 @@ import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import partial, reduce
 from multiprocessing import get_context
+from operator import add
 
 import numpy as np
 
 from benchmarks import contest_data as data
 from benchmarks import contest_peers as peers
 from benchmarks.contest_data import Scan, Simulated
-from benchmarks.contest_judge import CURB, LEAST_SHARE, Verdict, judge, judge_things, pooled
+from benchmarks.contest_judge import CURB, LEAST_SHARE, Verdict, judge, judge_things
 from benchmarks.contest_methods import FUSED, METHODS, Method, label, label_scan
 from benchmarks.pages import (
     DATA,
@@ -345,18 +346,18 @@ def against_peers(sets: list[DataSet]) -> None:
 
 def confusion(sets: list[DataSet]) -> None:
     """Print confusion matrices of fused, and predictions for classes that are not judged."""
-    print("## Confusion\n\nShare of the reference's row. Rows in italics are not judged.\n")
+    print("## Confusion\n\nShare of the reference's row. Rows in italics are other things.\n")
     for group, items in by_group(sets).items():
         for name in (FUSED, f"{FUSED}-forest"):
             verdicts = [run.verdict for run in runs_of(items, name)]
             if not verdicts:
                 continue
-            whole = pooled(verdicts)
-            counts = dict(zip(whole.rows, whole.counts, strict=True))
+            whole = reduce(add, verdicts)
+            counts = dict(zip(whole.matrix.reference_names, whole.matrix.counts, strict=True))
             counts |= {f"*{kind}*": np.array(list(n.values())) for kind, n in whole.others.items()}
             print(f"### {group}: {name}\n")
             table(
-                ("reference", *whole.columns, "returns"),
+                ("reference", *whole.matrix.predicted_names, "returns"),
                 (
                     (row, *(printed_at(n / cells.sum()) for n in cells), f"{cells.sum():,}")
                     for row, cells in counts.items()
@@ -419,8 +420,9 @@ def about(sets: list[DataSet]) -> None:
     for item in sets:
         run = next(iter(item.runs.values()), None)
         if run is not None:
-            sums = run.verdict.counts.sum(axis=1)
-            parts = zip(run.verdict.rows, sums, strict=True)
+            matrix = run.verdict.matrix
+            sums = matrix.counts.sum(axis=1)
+            parts = zip(matrix.reference_names, sums, strict=True)
             shares = ", ".join(f"{name} {n / sums.sum():.1%}" for name, n in parts if n)
             said = {line for run in item.runs.values() for line in run.said}
             rows.append((item.name, f"{run.n_returns:,}", shares, len(said) or ""))
@@ -466,8 +468,7 @@ def main() -> None:
     of the presets and the same for all scans, except where a row says otherwise. Tuning used other
     streets and the first Oakland strip, which is shown but not counted. Classes of the macro F1:
     noise, ground, building, vegetation; in forests also stems. Cars, poles and curbs have tables of
-    their own. Signs, wires and people are not scored; the confusion tables show what they are
-    predicted as.""")
+    their own. Signs, wires and people are not scored.""")
     for part in parts:
         PARTS[part](sets)
     print(duration())

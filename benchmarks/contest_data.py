@@ -412,14 +412,6 @@ def kitti() -> Scan:
     )
 
 
-def views(kind: str, parity: int) -> Iterator[Scan]:
-    """Read the labelled range views of a kind, "kitti", "nuscenes" or "vlp32", with even or odd
-    numbers."""
-    for path in view_paths(kind):
-        if int(path.stem.rsplit("_", 1)[1]) % 2 == parity:
-            yield view(path)
-
-
 def view_paths(kind: str) -> list[Path]:
     """Return the files of the range views of a kind."""
     return sorted((DATA / "rangeviews").glob(f"{kind}_train_*.npz"))

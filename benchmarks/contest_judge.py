@@ -12,11 +12,10 @@ from scipy.spatial import cKDTree
 
 from benchmarks.contest_data import Scan
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.errors import ConfigError
 from prc_cli.core.types import F64, I64
-from prc_cli.evaluation.confusion import ConfusionMatrix, GroupedCounts, cells_of
+from prc_cli.evaluation.confusion import ConfusionMatrix, accumulate
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
-from prc_cli.evaluation.scores import gate_value, scores
+from prc_cli.evaluation.scores import scores
 
 FOLDER = Path(__file__).resolve().parent
 MAPPINGS = {
@@ -29,24 +28,6 @@ MAPPINGS = {
     "views_nuscenes": FOLDER / "contest_views_nuscenes.toml",
 }
 """File or name of the mapping, as for ``prc evaluate --mapping``."""
-_PROFILE_OTHERS = {"cars": [65], "poles, signs, wires, people": [1, 69]}
-OTHERS: dict[str, dict[str, list[int]]] = {
-    "street": _PROFILE_OTHERS,
-    "forest": {},
-    "cylinders": {},
-    "oakland": {
-        "vehicles": list(range(1500, 1600)),
-        "poles, wires, signs": [*range(1100, 1200), 1413],
-        "undetermined": [1001, 1002, 1003],
-    },
-    "kitti": {
-        "vehicles, cycles, people": [10, 11, 13, 15, 16, 18, 20, 30, 31, 32, *range(252, 260)],
-        "poles, signs": [80, 81, 99],
-    },
-    "views_kitti": {"vehicles, cycles, people": list(range(1, 9)), "poles, signs": [18, 19]},
-    "views_nuscenes": {"vehicles, cycles, people": list(range(5, 10)), "poles": [3]},
-}
-"""Reference codes that are no class of the confusion tables; their predictions are reported."""
 THINGS: dict[str, dict[str, list[int]]] = {
     "street": {"car": [65], "pole": [69]},
     "oakland": {"car": list(range(1500, 1600))},
@@ -54,7 +35,9 @@ THINGS: dict[str, dict[str, list[int]]] = {
     "views_kitti": {"car": [1, 4, 5], "pole": [18, 19]},
     "views_nuscenes": {"car": [7, 8, 9], "pole": [3]},
 }
-"""Reference codes of cars, lorries and buses, and of poles."""
+"""Reference codes of cars, lorries and buses, and of poles, which are no class of the confusion.
+
+Their predictions are reported beside it."""
 UNKNOWN = {"oakland": [0, 1001, 1002, 1003], "views_nuscenes": [10]}
 """Reference codes of what is not known; elsewhere 0."""
 CURB = "curb, 10 cm"
@@ -71,40 +54,22 @@ Below it, the score depends on a few shots.
 class Verdict:
     """Result of a method on one or several scans."""
 
-    rows: tuple[str, ...]
-    columns: tuple[str, ...]
-    counts: I64
-    """(rows, columns) int64, reference by predicted."""
+    matrix: ConfusionMatrix
     others: dict[str, dict[str, int]] = field(default_factory=dict)
     """By name of reference codes that are not judged: number of returns per predicted class."""
 
     @property
     def present(self) -> tuple[str, ...]:
         """Classes of the reference that have enough returns to be judged."""
-        sums = self.counts.sum(axis=1)
-        least = LEAST_SHARE * sums.sum()
-        return tuple(
-            name for name, n in zip(self.rows, sums.tolist(), strict=True) if n >= least and n
-        )
-
-    def score(self, name: str) -> float:
-        """Return a score by its name in ``prc evaluate --fail-under``, such as ``f1.ground``.
-
-        NaN if undefined.
-        """
-        try:
-            return gate_value(scores(self._matrix), name)
-        except ConfigError:
-            return float("nan")
+        sums = self.matrix.counts.sum(axis=1)
+        least = max(LEAST_SHARE * sums.sum(), 1)
+        names = zip(self.matrix.reference_names, sums.tolist(), strict=True)
+        return tuple(name for name, n in names if n >= least)
 
     def f1(self) -> dict[str, float]:
         """Return the F1 of the classes that exist."""
-        by_name = scores(self._matrix).by_name
+        by_name = scores(self.matrix).by_name
         return {name: by_name[name].f1 for name in self.present}
-
-    @property
-    def _matrix(self) -> ConfusionMatrix:
-        return ConfusionMatrix(self.rows, self.columns, self.counts)
 
     @property
     def macro(self) -> float:
@@ -119,13 +84,12 @@ class Verdict:
 
     def __add__(self, verdict: Verdict) -> Verdict:
         """Pool two verdicts of the same classes."""
-        assert (self.rows, self.columns) == (verdict.rows, verdict.columns)
         others = {name: dict(became) for name, became in self.others.items()}
         for name, became in verdict.others.items():
             counts = others.setdefault(name, {})
             for column, n in became.items():
                 counts[column] = counts.get(column, 0) + n
-        return Verdict(self.rows, self.columns, self.counts + verdict.counts, others)
+        return Verdict(self.matrix + verdict.matrix, others)
 
 
 @lru_cache(maxsize=8)
@@ -133,13 +97,14 @@ def mapping_of(name: str) -> ClassMapping:
     return load_mapping(MAPPINGS[name])
 
 
-def counted(mapping: ClassMapping, predicted: I64, reference: I64) -> I64:
-    """Return how many records have every pair of classes, (rows, columns) int64."""
-    counts = GroupedCounts(mapping, "all")
-    rows = mapping.class_indices(reference, "reference")
-    counts.add(np.zeros(len(rows), np.int64), cells_of(mapping, predicted, rows))
-    total: I64 = counts.scored().sum(axis=0)
-    return total
+def compared(name: str, predicted: NDArray[np.integer], reference: I64) -> ConfusionMatrix:
+    """Return the confusion of records by a mapping of :data:`MAPPINGS`.
+
+    ``predicted``: what a method left out, 0, counts as unclassified.
+    """
+    mapping = mapping_of(name)
+    codes = np.where(predicted == 0, 1, predicted).astype(np.int64)
+    return accumulate(ConfusionMatrix.empty(mapping), codes, reference, mapping)
 
 
 def judge(scan: Scan, codes: NDArray[np.integer], extra_codes: NDArray[np.integer]) -> Verdict:
@@ -153,21 +118,18 @@ def judge(scan: Scan, codes: NDArray[np.integer], extra_codes: NDArray[np.intege
     extra_codes : (e,) integer
         The same of the further returns.
     """
-    mapping = mapping_of(scan.mapping)
     there = ~np.isnan(scan.range_m)
-    predicted = np.concatenate([codes[there], extra_codes]).astype(np.int64)
+    predicted = np.maximum(np.concatenate([codes[there], extra_codes]).astype(np.int64), 1)
     reference = np.concatenate([scan.codes[there], scan.extra_codes])
-    # returns left out by a method count as unclassified
-    predicted[predicted == 0] = 1
-    counts = counted(mapping, predicted, reference)
-    columns = mapping.names("predicted")
-    index = mapping.class_indices(predicted, "predicted")
+    matrix = compared(scan.mapping, predicted, reference)
+    columns = matrix.predicted_names
+    index = mapping_of(scan.mapping).class_indices(predicted, "predicted")
     others = {}
-    for name, listed in OTHERS[scan.mapping].items():
+    for name, listed in THINGS.get(scan.mapping, {}).items():
         n = np.bincount(index[np.isin(reference, listed)], minlength=len(columns))
         if n.sum():
             others[name] = dict(zip(columns, n.tolist(), strict=True))
-    return Verdict(mapping.names("reference"), columns, counts, others)
+    return Verdict(matrix, others)
 
 
 def judge_things(scan: Scan, codes: NDArray[np.integer]) -> dict[str, list[float]]:
@@ -215,11 +177,3 @@ def _near(points: F64, others: F64) -> int:
         return 0
     away, _ = cKDTree(others).query(points, distance_upper_bound=CURB_M)
     return int((away < np.inf).sum())
-
-
-def pooled(verdicts: list[Verdict]) -> Verdict:
-    """Pool verdicts of the same classes."""
-    first, *rest = verdicts
-    for verdict in rest:
-        first = first + verdict
-    return first

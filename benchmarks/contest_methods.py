@@ -144,8 +144,6 @@ class Labelled:
     wall_s: float
     said: tuple[str, ...] = ()
     """What was said of the file: doubts and refusals, one line each."""
-    is_down_told: bool = False
-    """Whether straight down had to be told."""
 
 
 def label(scan: Scan, config: LoadedConfig, threads: int | None = None) -> Labelled:
@@ -209,4 +207,4 @@ def label_scan(scan: Scan, method: Method) -> Labelled:
                 last = int(max(file.record.max(), file.extra_record.max(initial=-1)))
             codes = np.zeros(last + 1, np.uint8)
         image, extra = file.image(scan, codes)
-    return Labelled(image, extra, cpu_s, wall_s, tuple(said), bool(nadir))
+    return Labelled(image, extra, cpu_s, wall_s, tuple(said))

@@ -8,14 +8,12 @@ Each table names the commands that give the same figures one by one.
 
 from __future__ import annotations
 
-import os
-import tempfile
 from pathlib import Path
 
 import laspy
 import numpy as np
 
-from benchmarks.pages import duration, heading
+from benchmarks.pages import DATA, ROOT, commands, run_parts, table
 from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes
 from prc_cli.evaluation.reports import as_markdown
@@ -31,24 +29,17 @@ from tests.profiler import (
     write_trajectory,
 )
 
-ROOT = Path(__file__).resolve().parent.parent
-DATA = Path(os.environ.get("PRC_DATA", ROOT.parent / "shared" / "data"))
 SICK = ROOT / "sample_configs" / "sick_push_broom.toml"
+FOREST_NAMES = ("noise", "ground", "stem", "vegetation")
 
 
 def oakland(folder: Path) -> None:
     """Three labelled strips with the published and the adapted parameters."""
+    published = load_config(preset="prc-2019-urban")
+    sensor = "--config sample_configs/sick_push_broom.toml"
     for title, config, option in (
-        (
-            "published urban parameters",
-            load_config(preset="prc-2019-urban"),
-            "--preset prc-2019-urban",
-        ),
-        (
-            "parameters for this sensor",
-            load_config(SICK),
-            "--config sample_configs/sick_push_broom.toml",
-        ),
+        ("published urban parameters", published, "--preset prc-2019-urban"),
+        ("parameters for this sensor", load_config(SICK), sensor),
     ):
         print(f"## Oakland, {title}\n")
         for strip in (1, 2, 3):
@@ -57,8 +48,10 @@ def oakland(folder: Path) -> None:
             labels = folder / f"{name}.npy"
             classify(source, labels, config, overwrite=True)
             print(f"### Strip {strip}\n")
-            print(f"```console\n$ prc classify {source.name} {name}.npy {option}")
-            print(f"$ prc evaluate {name}.npy {source.name} --mapping oakland -o {name}.md\n```\n")
+            commands(
+                f"prc classify {source.name} {name}.npy {option}",
+                f"prc evaluate {name}.npy {source.name} --mapping oakland -o {name}.md",
+            )
             print(as_markdown(evaluate(labels, source, "oakland")))
 
 
@@ -66,26 +59,18 @@ def forest(folder: Path) -> None:
     """The unlabelled park scan: class shares."""
     source = DATA / "forest" / "tls_park.npz"
     codes = ClassCodes().names()
-    print(
-        "## Park, forest preset\n\n```console\n$ prc classify tls_park.npz tls_park.npy "
-        "--preset prc-2019-forest\n```\n"
-    )
-    print("| zeta_s, zeta_p | noise | ground | stem | vegetation |\n|---|---|---|---|---|")
+    print("## Park, forest preset\n")
+    commands("prc classify tls_park.npz tls_park.npy --preset prc-2019-forest")
+    rows = []
     for zeta_s, zeta_p in ((0.01, 0.01), (1.0, 0.1)):
         options = {"prc": {"support": {"zeta_s": zeta_s, "zeta_p": zeta_p}}}
-        classify(
-            source,
-            folder / "park.npy",
-            load_config(preset="prc-2019-forest", options=options),
-            overwrite=True,
-        )
+        config = load_config(preset="prc-2019-forest", options=options)
+        classify(source, folder / "park.npy", config, overwrite=True)
         labels = np.load(folder / "park.npy")
         counts = np.bincount(labels[labels > 0], minlength=256)
         names = {name: counts[code] / counts.sum() for code, name in codes.items()}
-        shares = " | ".join(
-            f"{names[name]:.1%}" for name in ("noise", "ground", "stem", "vegetation")
-        )
-        print(f"| {zeta_s} m, {zeta_p} m | {shares} |")
+        rows.append((f"{zeta_s} m, {zeta_p} m", *(f"{names[name]:.1%}" for name in FOREST_NAMES)))
+    table(("zeta_s, zeta_p", *FOREST_NAMES), rows)
 
 
 def profiler(folder: Path) -> None:
@@ -99,24 +84,21 @@ def profiler(folder: Path) -> None:
         source, load_config(options={"input": inputs}), len(las)
     )
     steps = steps_apart(line, column, recovered)
-    print("## Profiler sample\n\n```console")
-    lines = inputs["lines"]
-    columns = inputs["columns"]
-    print(f"$ prc classify jakarto_0.02s.las out.las --lines {lines} --columns {columns} \\")
-    print(f"      --range trajectory:drive.csv -M {inputs['points_per_line']}\n```\n")
-    print("| | |\n|---|---|")
-    print(f"| records | {len(las):,} in {n_cells:,} cells, {1 - len(las) / n_cells:.1%} missing |")
-    print(f"| same line as recovered | {(line == recovered['line']).mean():.2%} |")
+    print("## Profiler sample\n")
+    rules = (
+        f"--lines {inputs['lines']} --columns {inputs['columns']} -M {inputs['points_per_line']}"
+    )
+    commands(f"prc classify jakarto_0.02s.las out.las {rules} --range trajectory:drive.csv")
+    rows = [
+        ("records", f"{len(las):,} in {n_cells:,} cells, {1 - len(las) / n_cells:.1%} missing"),
+        ("same line as recovered", f"{(line == recovered['line']).mean():.2%}"),
+    ]
     for distance in (0, 1, 2, 5):
         what = "same cell" if not distance else f"at most {distance} shots beside it"
-        print(f"| {what} | {(steps <= distance).mean():.1%} |")
-    difference = np.abs(range_m - recovered["range_m"])
-    print(
-        "| range difference, median and 99th percentile | "
-        f"{np.nanmedian(difference) * 1000:.1f} mm, ",
-        end="",
-    )
-    print(f"{np.nanpercentile(difference, 99) * 1000:.1f} mm |\n")
+        rows.append((what, f"{(steps <= distance).mean():.1%}"))
+    off_mm = 1000 * np.abs(range_m - recovered["range_m"])
+    difference = f"{np.nanmedian(off_mm):.1f} mm, {np.nanpercentile(off_mm, 99):.1f} mm"
+    table(("", ""), [*rows, ("range difference, median and 99th percentile", difference)])
 
 
 def strip(folder: Path) -> None:
@@ -126,31 +108,22 @@ def strip(folder: Path) -> None:
     assert setup.facts is not None
     las = laspy.read(source)
     time_s = np.asarray(las.gps_time)[661:]
-    print("## Airborne strip\n\n```console\n$ prc info als_strip_labelled.laz\n```\n")
-    print("| | |\n|---|---|")
-    print(f"| lines by the wrap of the scan angle | {setup.facts.n_lines} |")
-    print(f"| line frequency from the times of the lines | {setup.facts.line_hz:.3f} Hz |")
-    print(
-        "| line periods between the first and the last record after the stray start | "
-        f"{np.ptp(time_s) * 150:.1f} |"
-    )
     degrees = np.asarray(las.scan_angle) * 0.006
-    print(
-        "| jumps back of the scan angle by more than 2° | "
-        f"{np.count_nonzero(np.diff(degrees) > 2)} |\n"
-    )
+    print("## Airborne strip\n")
+    commands("prc info als_strip_labelled.laz")
+    periods = "line periods between the first and the last record after the stray start"
+    jumps = np.count_nonzero(np.diff(degrees) > 2)
+    rows = [
+        ("lines by the wrap of the scan angle", setup.facts.n_lines),
+        ("line frequency from the times of the lines", f"{setup.facts.line_hz:.3f} Hz"),
+        (periods, f"{np.ptp(time_s) * 150:.1f}"),
+        ("jumps back of the scan angle by more than 2°", jumps),
+    ]
+    table(("", ""), rows)
 
 
-def main() -> None:
-    """Print all tables."""
-    print(heading("Tables of real scans", "real_scans"))
-    with tempfile.TemporaryDirectory() as name:
-        profiler(Path(name))
-        strip(Path(name))
-        oakland(Path(name))
-        forest(Path(name))
-    print(duration())
+PARTS = {"profiler": profiler, "strip": strip, "oakland": oakland, "forest": forest}
 
 
 if __name__ == "__main__":
-    main()
+    run_parts(__doc__, "Tables of real scans", "real_scans", PARTS)

@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.contest_data import view_paths
-from benchmarks.pages import DATA, duration, heading
+from benchmarks.contest_judge import THINGS, UNKNOWN, mapping_of
+from benchmarks.pages import DATA, duration, heading, say, table
 from prc_cli import ClassCodes, DoubtWarning, Label, classify
 from prc_cli.core.types import F32, I64, U8, Mask
 
@@ -33,70 +34,10 @@ OTHER = 1
 
 People, cycles, signs.
 """
-GROUND, BUILDING, VEGETATION, CAR, POLE, NOISE = (
-    ClassCodes().code(one)
-    for one in (Label.GROUND, Label.BUILDING, Label.VEGETATION, Label.CAR, Label.POLE, Label.NOISE)
-)
-CLASSES = {
-    "kitti_views": {
-        0: IGNORED,
-        1: CAR,
-        4: CAR,
-        5: CAR,
-        9: GROUND,
-        10: GROUND,
-        11: GROUND,
-        12: GROUND,
-        17: GROUND,
-        13: BUILDING,
-        14: BUILDING,
-        15: VEGETATION,
-        16: VEGETATION,
-        18: POLE,
-        19: POLE,
-    },
-    "nuscenes": {
-        10: IGNORED,
-        0: GROUND,
-        1: GROUND,
-        2: BUILDING,
-        3: POLE,
-        4: VEGETATION,
-        7: CAR,
-        8: CAR,
-        9: CAR,
-    },
-    "kitti": {
-        0: IGNORED,
-        1: IGNORED,
-        40: GROUND,
-        44: GROUND,
-        48: GROUND,
-        49: GROUND,
-        60: GROUND,
-        72: GROUND,
-        50: BUILDING,
-        51: BUILDING,
-        52: BUILDING,
-        70: VEGETATION,
-        71: VEGETATION,
-        10: CAR,
-        13: CAR,
-        16: CAR,
-        18: CAR,
-        20: CAR,
-        252: CAR,
-        257: CAR,
-        258: CAR,
-        259: CAR,
-        80: POLE,
-        81: POLE,
-    },
-}
-"""Classes by codes of the data sets.
-
-Lorries and buses are cars, fences buildings, trunks vegetation.
-"""
+CODES = {label.name.lower(): ClassCodes().code(label) for label in Label}
+GROUND = CODES["ground"]
+VEGETATION = CODES["vegetation"]
+NOISE = CODES["noise"]
 LOW_M = -1.3
 """Vegetation lower than this is ground in the second way [m]."""
 SCANNER_M = {"kitti": 1.73, "nuscenes": 1.84, "vlp32": 1.8, "av2_up": 1.97, "av2_down": 1.86}
@@ -135,7 +76,7 @@ def frames(folder: Path) -> Iterator[Frame]:
         "kitti",
         DATA / "kitti" / "000000.bin",
         frame,
-        _coded(reference, "kitti"),
+        coded(reference, "kitti"),
         False,
     )
     for name in ("000010", "000030"):
@@ -143,11 +84,19 @@ def frames(folder: Path) -> Iterator[Frame]:
     yield from argoverse(folder)
 
 
-def _coded(codes: I64, kind: str) -> U8:
-    table = np.full(int(codes.max()) + 1, OTHER, np.uint8)
-    for code, label in CLASSES[kind].items():
-        table[code : code + 1] = label
-    return table[codes]
+def coded(codes: I64, kind: str) -> U8:
+    """Return codes of prc for those of a data set, (n,) uint8.
+
+    ``kind`` is a key of ``contest_judge.MAPPINGS``. Lorries and buses are cars, fences buildings,
+    trunks vegetation; outliers are not judged.
+    """
+    lookup = np.full(int(codes.max()) + 1, OTHER, np.uint8)
+    listed = {**mapping_of(kind).reference, **THINGS[kind]}
+    listed["missing"] = (*listed.pop("noise", ()), *UNKNOWN.get(kind, [0]))
+    for name, values in listed.items():
+        known = [value for value in values if value < len(lookup)]
+        lookup[known] = IGNORED if name == "missing" else CODES[name]
+    return lookup[codes]
 
 
 def _view(path: Path, kind: str, folder: Path) -> Frame:
@@ -165,7 +114,7 @@ def _view(path: Path, kind: str, folder: Path) -> Frame:
     file = folder / path.name
     np.savez(file, range_m=ranges, xyz=xyz, zenith_deg=90.0 - elevation[order])
     group = f"{kind}_views" if kind == "kitti" else kind
-    reference = _coded(codes.ravel(), "kitti_views" if kind == "kitti" else "nuscenes")
+    reference = coded(codes.ravel(), "views_kitti" if kind == "kitti" else "views_nuscenes")
     is_tuned = int(path.stem.rsplit("_", 1)[1]) % 2 == 0
     return Frame(path.stem, group, file, xyz.reshape(-1, 3), reference, is_tuned)
 
@@ -232,14 +181,8 @@ def argoverse(folder: Path) -> Iterator[Frame]:
             .apply(vehicle_m[of_scanner] - [pose[key] for key in ("tx_m", "ty_m", "tz_m")])
             .astype(np.float32)
         )
-        kinds = [
-            ("x", "<f4"),
-            ("y", "<f4"),
-            ("z", "<f4"),
-            ("intensity", "<f4"),
-            ("ring", "<u2"),
-            ("time", "<f8"),
-        ]
+        kinds = [*((name, "<f4") for name in ("x", "y", "z", "intensity"))]
+        kinds += [("ring", "<u2"), ("time", "<f8")]
         rows = np.zeros(len(xyz), kinds)
         rows["x"], rows["y"], rows["z"] = xyz.T
         rows["intensity"] = sweep["intensity"].to_numpy()[of_scanner]
@@ -251,7 +194,9 @@ def argoverse(folder: Path) -> Iterator[Frame]:
         head += [f"property {types[kind]} {field}" for field, kind in kinds]
         file.write_bytes("\n".join([*head, "end_header", ""]).encode() + rows.tobytes())
         codes = np.where(
-            is_ground[of_scanner], GROUND, np.where(box[of_scanner] == REGULAR_VEHICLE, CAR, OTHER)
+            is_ground[of_scanner],
+            GROUND,
+            np.where(box[of_scanner] == REGULAR_VEHICLE, CODES["car"], OTHER),
         ).astype(np.uint8)
         xyz = xyz * np.array([1, 1, 1 if name == "up" else -1], np.float32)
         yield Frame(f"av2_{name}", f"av2_{name}", file, xyz, codes, name == "up")
@@ -350,27 +295,19 @@ def scores(frame: Frame, codes: U8) -> dict[str, Score]:
     if frame.group == "snow":
         return {"snow": Score.of(codes[there] == NOISE, frame.codes[there] == NOISE)}
     frame_scores = ground_scores(frame, codes == GROUND)
-    kinds = {"building": BUILDING, "vegetation": VEGETATION, "car": CAR, "pole": POLE}
-    for name, code in kinds.items():
+    for name in ("building", "vegetation", "car", "pole"):
+        code = CODES[name]
         if np.count_nonzero(frame.codes == code) and not frame.group.startswith("av2"):
             frame_scores[name] = Score.of(codes[there] == code, frame.codes[there] == code)
     return frame_scores
 
 
-def main() -> None:
-    """Print the table of all frames, and the means of those that chose limits and those that did
-    not."""
-    wanted = tuple(sys.argv[1:])
-    means: dict[tuple[str, bool], list[tuple[dict[str, Score], dict[str, Score]]]] = {}
-    print(heading("Figures of rings", "rings"))
-    print(
-        "F1 (precision, recall), nothing told but the file. Patchwork++ 1.4 is told the "
-        "scanner's height.\n"
-    )
-    print(
-        "| frame | limits chosen on it | class | prc | Patchwork++ | doubts "
-        "|\n|---|---|---|---:|---:|---|"
-    )
+Means = dict[tuple[str, bool], list[tuple[dict[str, Score], dict[str, Score]]]]
+"""Scores of prc and of Patchwork++, by group of frames and whether they chose limits."""
+
+
+def rows_of(wanted: tuple[str, ...], means: Means) -> Iterator[tuple[str, ...]]:
+    """Yield a row for every class of every frame, and collect the scores."""
     with tempfile.TemporaryDirectory() as folder:
         for frame in frames(Path(folder)):
             if wanted and not frame.name.startswith(wanted):
@@ -382,28 +319,31 @@ def main() -> None:
             means.setdefault((frame.group, frame.is_tuned), []).append((frame_scores, peer_scores))
             for name, score in frame_scores.items():
                 beside = _cell(peer_scores[name]) if name in peer_scores else ""
-                chosen = "yes" if frame.is_tuned else "no"
-                print(
-                    f"| {frame.name} | {chosen} | {name} | {_cell(score)} | {beside} | {doubts} |",
-                    flush=True,
-                )
-    print(
-        "\n## Means of F1\n\n| frames | limits chosen on them | class | prc | Patchwork++ "
-        "|\n|---|---|---|---:|---:|"
-    )
+                yield frame.name, _yes(frame.is_tuned), name, _cell(score), beside, doubts
+
+
+def main() -> None:
+    """Print the table of all frames, and the means of those that chose limits and those that did
+    not."""
+    means: Means = {}
+    print(heading("Figures of rings", "rings"))
+    say("""F1 (precision, recall), nothing told but the file. Patchwork++ 1.4 is told the scanner's
+    height.""")
+    header = ("frame", "limits chosen on it", "class", "prc", "Patchwork++")
+    table((*header, "doubts"), rows_of(tuple(sys.argv[1:]), means))
+    print("## Means of F1\n")
+    rows = []
     for (group, is_tuned), pairs in means.items():
         for name in pairs[0][0]:
-            mine, theirs = (
-                [f"{np.mean([pair[k][name].f1 for pair in pairs if name in pair[k]]):.3f}"]
-                if name in pairs[0][k]
-                else [""]
-                for k in (0, 1)
-            )
-            print(
-                f"| {group} ({len(pairs)}) | {'yes' if is_tuned else 'no'} | {name} | "
-                f"{mine[0]} | {theirs[0]} |"
-            )
+            f1 = [[pair[k][name].f1 for pair in pairs if name in pair[k]] for k in (0, 1)]
+            cells = (f"{np.mean(values):.3f}" if values else "" for values in f1)
+            rows.append((f"{group} ({len(pairs)})", _yes(is_tuned), name, *cells))
+    table(header, rows)
     print(duration())
+
+
+def _yes(is_so: bool) -> str:
+    return "yes" if is_so else "no"
 
 
 def _cell(score: Score) -> str:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.pages import run_parts
-from prc_cli.config import LoadedConfig, load_config
+from prc_cli.config import LoadedConfig, load_config, parse_assignment
 from prc_cli.core.config import merge
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.reports import as_markdown
@@ -152,7 +152,6 @@ $ prc evaluate labels.npy scan.npz --mapping street_scan -o scores.md
 
 READINGS: dict[str, dict[str, Any]] = {
     "the preset": {},
-    "angles.min_chord_sigmas = 0": {"angles": {"min_chord_sigmas": 0}},
     "coarse.vegetation of the script": {
         "coarse": {
             "vegetation": {
@@ -165,19 +164,24 @@ READINGS: dict[str, dict[str, Any]] = {
     "coarse.surfaces of the script": {
         "coarse": {"surfaces": {"drift_horizontal_deg": 30, "threshold_horizontal_deg": 15}}
     },
-    "ground.start_heights = 50": {"ground": {"start_heights": 50}},
-    "ground.height_points = 0": {"ground": {"height_points": 0}},
-    "curb.min_height_m = 0": {"curb": {"min_height_m": 0}},
-    "car.most_foliage = 1": {"car": {"most_foliage": 1}},
-    "car.ground_layer_m = 0": {"car": {"ground_layer_m": 0}},
-    "car.dividers.change_chord_m = 0": {"car": {"dividers": {"change_chord_m": 0}}},
-    "car.dividers.return_points = 0": {"car": {"dividers": {"return_points": 0}}},
-    "car.dividers.from_start = false": {"car": {"dividers": {"from_start": False}}},
-    "car.dividers.tall_m = 0": {"car": {"dividers": {"tall_m": 0}}},
-    "car.dividers.flat_step_m = 0": {"car": {"dividers": {"flat_step_m": 0}}},
-    "car.dividers.vertical_top_m = 0": {"car": {"dividers": {"vertical_top_m": 0}}},
-    "car.dividers.straight_extent_m = 0": {"car": {"dividers": {"straight_extent_m": 0}}},
-    "car.fourier.longest = 0": {"car": {"fourier": {"longest": 0}}},
+    **{
+        text: parse_assignment(text)
+        for text in """\
+angles.min_chord_sigmas = 0
+ground.start_heights = 50
+ground.height_points = 0
+curb.min_height_m = 0
+car.most_foliage = 1
+car.ground_layer_m = 0
+car.dividers.change_chord_m = 0
+car.dividers.return_points = 0
+car.dividers.from_start = false
+car.dividers.tall_m = 0
+car.dividers.flat_step_m = 0
+car.dividers.vertical_top_m = 0
+car.dividers.straight_extent_m = 0
+car.fourier.longest = 0""".splitlines()
+    },
 }
 """Settings that set one reading of ours back to what is published."""
 

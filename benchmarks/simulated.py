@@ -3,9 +3,10 @@
     python -m benchmarks.simulated > figures/simulation.md     # everything, minutes
     python -m benchmarks.simulated urban speed                      # some of the parts
 
-Reads ../shared/data or $PRC_DATA for the real scans. Each table names the commands that give the
-same figures; no parameter of a classifier was chosen on these seeds, but ``fused`` was tuned on
-other seeds of this simulator, and the forest's defaults with Table II in view."""
+Reads ../shared/data or $PRC_DATA for the real scans. Static scans are those of
+``benchmarks.sequential_angle``. Each table names the commands that give the same figures; no
+parameter of a classifier was chosen on these seeds, but ``fused`` was tuned on other seeds of this
+simulator, and the forest's defaults with Table II in view."""
 
 from __future__ import annotations
 
@@ -18,10 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.contest_data import oakland as oakland_scan
 from benchmarks.pages import DATA, ROOT, commands, printed_at, run_parts, say, table
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.classes import ClassCodes
-from prc_cli.core.types import F32, F64, I64, U8
+from prc_cli.core.types import F32, F64, I64, U8, Mask
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.evaluation.scores import scores
@@ -59,7 +61,6 @@ TABLE_I = {
 """Lehtola et al. (2019), Table I: zeta_p to recall values, reference in rows."""
 STREETS = 5
 STREET_M = 150.0
-CHARACTERS = ("residential", "terraces", "suburb", "boulevard")
 MORE_STREETS = 3
 MORE_M = 100.0
 SET_BACK_M = (0.0, 6.0, 12.0, 18.0)
@@ -77,17 +78,6 @@ RELAXED_STEM = (0.204, 0.413)
 ZETAS = ((0.01, 0.01), (1.0, 0.1))
 PLOTS = {"mixed": 3, "pine-heath": 1, "dense-spruce": 1}
 WALK_M = 20.0
-
-SCAN_NAMES = ("vegetation", "vertical", "car", "horizontal")
-STAMOS = ((0.900, 0.789), (0.851, 0.980), (0.867, 0.962), (0.976, 0.631))
-"""Recall and precision, Stamos et al. (2012), Table 1.
-
-The overall accuracy follows from its counts.
-"""
-STAMOS_ALL = 0.876
-STATIONS = 11
-COARSE_DEG = 0.46
-"""Every fourth line: as many different streets in a quarter of the time."""
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 STEPS = (0.5, 0.75, 0.9, 0.95)
@@ -183,7 +173,6 @@ def urban(folder: Path) -> None:
     )
     for zeta, published in TABLE_I.items():
         print_table_i(f"ζ_p = {zeta:g} m, A = 30, γ = 2", matrices[zeta], published)
-    kinds(folder)
     set_back(folder)
 
 
@@ -205,17 +194,6 @@ def print_table_i(
     rows = matrix.counts.sum(axis=1) / matrix.n_scored
     shares = [f"{name} {rows[matrix.reference_names.index(name)]:.1%}" for name in URBAN_ROWS]
     print(f"\nPrecision: {', '.join(cells)}. Shares of the reference: {', '.join(shares)}.\n")
-
-
-def kinds(folder: Path) -> None:
-    """Table I's diagonal by the character of the street."""
-    print("### Kinds of street\n")
-    say(f"""{MORE_STREETS} streets of {MORE_M:g} m of each kind, A = 30, γ = 2; recall, and the
-    share of buildings that is taken for ground.""")
-    commands(
-        f"prc simulate street street.npz --scene terraces --length {MORE_M:g} --seed {FIRST_SEED}"
-    )
-    print_diagonals(folder, {name: {"name": name} for name in CHARACTERS})
 
 
 def set_back(folder: Path) -> None:
@@ -367,63 +345,6 @@ def stem_cells(matrix: ConfusionMatrix) -> list[str]:
     return [printed_at(number) for number in (*numbers, called)]
 
 
-def static(folder: Path) -> None:
-    """Static scans beside Stamos' Table 1."""
-    rows: dict[str, list[ConfusionMatrix]] = {}
-    presets = ("street-scan", "street-scan-published")
-    for seed in range(FIRST_SEED, FIRST_SEED + STATIONS):
-        source = made("street-scan", folder, seed=seed, scanner={"azimuth_step_deg": COARSE_DEG})
-        for preset in presets:
-            rows.setdefault(f"`{preset}`", []).append(
-                compared(source, load_config(preset=preset), "street_scan")
-            )
-    print("## Static scans: Stamos et al., Table 1\n")
-    say(f"""{STATIONS} whole turns on mixed streets, as many as the paper has, lines {COARSE_DEG}°
-    apart. Ground counts as horizontal, curbs as vertical, as there. The classifier was tuned on
-    another, simpler simulator and never on this one: a first independent test. The smallest and the
-    largest of a single scan in brackets.""")
-    commands(
-        f"prc simulate street-scan station.npz --seed {FIRST_SEED} --set "
-        f"scanner.azimuth_step_deg={COARSE_DEG}",
-        "prc classify station.npz labels.npy --preset street-scan",
-        "prc evaluate labels.npy station.npz --mapping street_scan",
-    )
-    columns = (name for kind in SCAN_NAMES for name in (f"{kind} recall", "precision"))
-    paper = ("*the paper*", *(f"{n:.3f}" for pair in STAMOS for n in pair), STAMOS_ALL)
-    table(
-        ("", *columns, "all"),
-        [*((title, *spread_scores(parts)) for title, parts in rows.items()), paper],
-    )
-    print("### Confusion with `street-scan`\n\nShare of the reference's row.\n")
-    matrix = pooled(rows["`street-scan`"])
-    names = (*SCAN_NAMES, "other")
-    table(
-        ("reference", *SCAN_NAMES),
-        (
-            (name, *map(printed_at, shares))
-            for name, shares in zip(names, shares_of(matrix, names, SCAN_NAMES), strict=True)
-        ),
-    )
-
-
-def spread_scores(parts: list[ConfusionMatrix]) -> list[str]:
-    """Recall and precision of every class and the accuracy, with the spread over scans."""
-
-    def row(matrix: ConfusionMatrix) -> list[float]:
-        by_class = scores(matrix)
-        by_name = {item.name: item for item in by_class.classes}
-        return [
-            n for name in SCAN_NAMES for n in (by_name[name].recall, by_name[name].precision)
-        ] + [by_class.accuracy]
-
-    rows_of_parts = np.array([row(part) for part in parts])
-    low = np.nanmin(rows_of_parts, axis=0)
-    high = np.nanmax(rows_of_parts, axis=0)
-    return [
-        f"{a:.3f} ({b:.2f}–{c:.2f})" for a, b, c in zip(row(pooled(parts)), low, high, strict=True)
-    ]
-
-
 def statistics(range_m: F32) -> dict[str, float]:
     """Missing share, ranges, and steps between neighbours in a line and from line to line, (lines,
     M)."""
@@ -485,22 +406,17 @@ def median(numbers: NDArray[np.floating[Any]]) -> float:
 
 def oakland_strip(strip: int, folder: Path, config: LoadedConfig) -> Strip:
     """Return a real strip over the angles that all have."""
-    path = DATA / "oakland" / f"oakland_{strip}.csv.gz"
+    scan = oakland_scan(strip)
+    inside = _inside(scan.angle_rad)
     labels = folder / "labels.npy"
-    table: F64 = np.genfromtxt(path, delimiter=",", skip_header=1, usecols=(0, 2, 3, 7))
-    line, angles, ranges, codes = table.T
-    n_lines = len(np.unique(line))
-    angle = angles.reshape(n_lines, -1)[0]
-    inside = (angle >= OAKLAND_DEG[0]) & (angle <= OAKLAND_DEG[1])
-    classify(path, labels, config, overwrite=True)
-    predicted = np.load(labels).astype(np.int64)
-    reference = np.nan_to_num(codes).astype(np.int64)
-    shape = n_lines, -1
-    return Strip(
-        ranges.astype(np.float32).reshape(shape)[:, inside],
-        predicted.reshape(shape)[:, inside],
-        reference.reshape(shape)[:, inside],
-    )
+    classify(DATA / "oakland" / f"oakland_{strip}.csv.gz", labels, config, overwrite=True)
+    predicted = np.load(labels).reshape(scan.codes.shape).astype(np.int64)
+    return Strip(scan.range_m[:, inside], predicted[:, inside], scan.codes[:, inside])
+
+
+def _inside(angle_rad: F64) -> Mask:
+    angle_deg = np.rad2deg(angle_rad)
+    return (angle_deg >= OAKLAND_DEG[0]) & (angle_deg <= OAKLAND_DEG[1])
 
 
 def push_broom(folder: Path, scene: dict[str, Any], config: LoadedConfig) -> Strip:
@@ -518,8 +434,7 @@ def push_broom(folder: Path, scene: dict[str, Any], config: LoadedConfig) -> Str
     )
     labels = folder / "labels.npy"
     classify(source, labels, config, overwrite=True)
-    angle = np.rad2deg(SCANNERS["sick-push-broom"].angle_rad())
-    inside = (angle >= OAKLAND_DEG[0]) & (angle <= OAKLAND_DEG[1])
+    inside = _inside(SCANNERS["sick-push-broom"].angle_rad())
     with np.load(source) as arrays:
         ranges = arrays["range_m"]
         reference = arrays["class"].astype(np.int64)
@@ -586,7 +501,6 @@ def speed(folder: Path) -> None:
 PARTS: dict[str, Callable[[Path], None]] = {
     "urban": urban,
     "forest": forest,
-    "static": static,
     "oakland": oakland,
     "speed": speed,
 }

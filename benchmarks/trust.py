@@ -27,7 +27,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from benchmarks.contest_judge import Verdict, counted, mapping_of
+from benchmarks.contest_judge import Verdict, compared
 from benchmarks.pages import ROOT, duration, heading, parser_of, say, table
 from benchmarks.trust_cases import (
     METHODS,
@@ -255,13 +255,9 @@ def macro_f1(mapping: str, codes: U8, truth: I64) -> float:
     if len(codes) != len(truth):
         problem = f"{len(codes)} labels came out, expected {len(truth)}"
         raise AssertionError(problem)
-    classes = mapping_of(mapping)
     judged = truth != 0
-    predicted = codes[judged].astype(np.int64)
-    predicted[predicted == 0] = 1
-    counts = counted(classes, predicted, truth[judged])
-    verdict = Verdict(classes.names("reference"), classes.names("predicted"), counts).f1()
-    return float(np.mean(np.nan_to_num(list(verdict.values()))))
+    f1 = Verdict(compared(mapping, codes[judged], truth[judged])).f1()
+    return float(np.mean(np.nan_to_num(list(f1.values()))))
 
 
 def random_of(*parts: object) -> np.random.Generator:

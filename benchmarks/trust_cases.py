@@ -49,7 +49,6 @@ METHODS: dict[str, tuple[str, ...]] = {
 }
 AIMED = frozenset({"fused", "fused-forest", "sequential-angle"})
 """Methods that need to know where down is."""
-KITTI_CONFIG = ("--config", str(ROOT / "sample_configs" / "kitti_frame.toml"))
 FEET = 1.0 / 0.3048
 _TYPES = {
     "range": "<f4",

@@ -40,7 +40,7 @@ def test_a_simulated_scan_is_judged() -> None:
     far = np.linalg.norm(scan.world_m - scan.scanner_m[:, None], axis=-1) - scan.range_m
     assert np.nanmax(np.abs(far)) < 0.3
     labelled = label_scan(scan, PAPERS[2])
-    assert judge(scan, labelled.codes, labelled.extra_codes).score("f1.ground") > 0.5
+    assert judge(scan, labelled.codes, labelled.extra_codes).f1()["ground"] > 0.5
 
 
 def test_smrf_leaves_a_box_on_a_plane() -> None:
