@@ -1,6 +1,6 @@
 """What every step of the fused method is worth: F1 without it, one step after the other.
 
-    python -m benchmarks.ablation
+    python -m benchmarks.ablation > figures/ablation.md
 
 The scans are those that chose limits and steps; ``benchmarks.labels`` judges on others.
 A step that costs less than .003 of the mean F1 in every group and .01 in no class does not stay.
@@ -20,7 +20,7 @@ from benchmarks import contest_data as data
 from benchmarks.contest_data import Scan
 from benchmarks.contest_judge import judge, judge_things
 from benchmarks.contest_methods import label
-from benchmarks.pages import table
+from benchmarks.pages import duration, heading, table
 from prc_cli.config import load_config
 from prc_cli.methods.forest.thresholds import FOREST, Forest
 from prc_cli.methods.fused import pipeline
@@ -120,7 +120,9 @@ def main() -> None:
                     without = changed(limits, **steps[name])
                     patches.enter_context(mock.patch.object(pipeline, kind, without))
                 rows.setdefault(name, {}).setdefault(group, []).append(f1_of(scan))
+    print(heading("Steps of fused: figures", "ablation"))
     print_steps(rows, rows["all steps"])
+    print(duration())
 
 
 def print_steps(

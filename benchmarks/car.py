@@ -1,11 +1,9 @@
 """Classification before registration beside one after it (CAR), on a simulated drive with known
 classes.
 
-    python -m benchmarks.car             # writes figures/car.md
-    python -m benchmarks.car --length 40 --page /tmp/page.md
-    # the section on Oakland's registered points, in the same page
-    python -m benchmarks.car --oakland
-    python -m benchmarks.car --large 20000000 40000000  # memory, printed
+    python -m benchmarks.car > figures/car.md
+    python -m benchmarks.car --length 40
+    python -m benchmarks.car --large 20000000 40000000  # memory of the match alone
 
 The drive is registered with a trajectory that has 2 cm of error on every axis, cut into tiles of 40
 m, shuffled, cleaned of single points and thinned to one point in 5 cm, as an office delivers it.
@@ -15,11 +13,9 @@ vegetation; it has the ASPRS codes 2, 5 and 6 alone. It is a plain one: offices 
 
 from __future__ import annotations
 
-import argparse
 import re
 import tempfile
 import time
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +23,11 @@ import laspy
 import numpy as np
 from scipy.spatial import cKDTree
 
-from benchmarks.pages import DATA, TOOK, duration, heading, printed_at
+from benchmarks.contest_peers import cloth
+from benchmarks.pages import DATA, duration, heading, parser_of, printed_at, say, table
 from benchmarks.user import run
 from prc_cli.core.types import F64, I64, Mask
 
-OAKLAND = "## Oakland's registered points"
-PAGE = Path(__file__).resolve().parent.parent / "figures" / "car.md"
 ERROR_M = 0.02
 THINNED_M = 0.05
 TILE_M = 40.0
@@ -81,18 +76,9 @@ def is_lonely(xyz: F64) -> Mask:
 
 def car_classes(xyz: F64) -> I64:
     """Classify registered points: cloth simulation, then the shape of the neighbourhood."""
-    cloth = import_module("CSF").CSF()
-    cloth.params.bSloopSmooth = False
-    cloth.params.cloth_resolution = 0.5
-    cloth.params.class_threshold = 0.2
-    cloth.setPointCloud(np.ascontiguousarray(xyz))
-    module = import_module("CSF")
-    ground = module.VecInt()
-    unclassified = module.VecInt()
-    cloth.do_filtering(ground, unclassified, False)
-    codes = np.full(len(xyz), VEGETATION)
-    codes[np.array(ground, np.int64)] = GROUND
-    rest = np.array(unclassified, np.int64)
+    ground = cloth(xyz, cloth_resolution=0.5, class_threshold=0.2, bSloopSmooth=False)
+    codes = np.where(ground, GROUND, VEGETATION)
+    rest = np.flatnonzero(~ground)
     tree = cKDTree(xyz)
     for part in np.array_split(rest, max(1, len(rest) // 100_000)):
         near = xyz[tree.query(xyz[part], k=NEIGHBOURS, workers=-1)[1]]
@@ -159,12 +145,6 @@ def estimated_noise(matrix: Any) -> tuple[float, float]:
     return float(recall), float(precision)
 
 
-def table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    """Return a Markdown table."""
-    lines = [header, ("---", *["---:"] * (len(header) - 1)), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
-
-
 METHODS = {
     "PRC, zeta_p 1.0": ("prc-2019-urban", "prc.support.zeta_p=1.0"),
     "PRC, zeta_p 0.1": ("prc-2019-urban", "prc.support.zeta_p=0.1"),
@@ -195,32 +175,30 @@ def classified(folder: Path, used: dict[str, tuple[float, float]]) -> dict[str, 
     return files
 
 
-def scores_table(methods: dict[str, Any], classes: tuple[str, ...]) -> str:
-    """Return a row for each class and method."""
+def scores_table(methods: dict[str, Any], classes: tuple[str, ...]) -> None:
+    """Print a row for each class and method."""
     rows = []
     for name in classes:
         for method, result in methods.items():
             scores = result["classes"].get(name, {})
             if any(scores.get(score) for score in SCORES):
-                rows.append(
-                    (name, method, *(printed_at(scores.get(score) or 0.0) for score in SCORES))
-                )
-    return table(("class", "method", *SCORES), rows)
+                cells = (printed_at(scores.get(score) or 0.0) for score in SCORES)
+                rows.append((name, method, *cells))
+    table(("class", "method", *SCORES), rows)
 
 
-def _used_section(used: dict[str, tuple[float, float]]) -> list[str]:
-    commands = [
+def used_table(used: dict[str, tuple[float, float]]) -> None:
+    """Print time and memory of every command."""
+    print("## Time and memory\n")
+    say("Times are wall times; peak memory is of the command with its guard.")
+    rows = (
         (name, f"{seconds:.1f}", printed_at(memory, 0)) for name, (seconds, memory) in used.items()
-    ]
-    return [
-        "Times are wall times; peak memory is of the command with its guard.",
-        "\n## Time and memory\n",
-        table(("command", "time [s]", "memory [MiB]"), commands),
-    ]
+    )
+    table(("command", "time [s]", "memory [MiB]"), rows)
 
 
-def page(folder: Path, length: float, seed: int, *, times: bool) -> str:
-    """Run the walk and return its page of figures."""
+def drive(folder: Path, length: float, seed: int, *, times: bool) -> None:
+    """Run the walk and print its figures."""
     used = make(folder, length, seed)
     used["simulate the drive"] = used.pop("simulate")
     used["clean, thin, classify after registration (CSF, SciPy)"] = used.pop("CAR")
@@ -270,53 +248,40 @@ def page(folder: Path, length: float, seed: int, *, times: bool) -> str:
         ("from the same, as estimated", *estimated_noise(estimate)),
         ("from the CAR", *noise_of(asprs)),
     ]
-    parts = [
-        (
-            f"{heading('Figures before and after registration', 'car')}\n"
-            f"`python -m benchmarks.car --length {length:g}`: {exact['n_scored']:,} shots."
-        ),
-        *(_used_section(used) if times else ()),
-        "\n## Scores against the truth\n",
-        "Classes of Lehtola et al. (2019), Table I. PRC is their method with both of their zeta_p.",
-        "fused is ours. CAR is scored on the shots that fused and CAR both have.\n",
-        scores_table(
-            {**towns["methods"], "CAR": three["three"]["third"]},
-            ("ground", "building", "vegetation", "noise"),
-        ),
-        "Classes of Stamos et al. (2012), Table 1, for every method. Sequential-angle is a method",
-        "for static scans: a drive is not what it was made for.\n",
-        scores_table(
-            {**scans["methods"], "CAR": as_scan["three"]["third"]},
-            ("horizontal", "vertical", "vegetation", "car"),
-        ),
-        "## Noise\n\nOf fused.\n",
-        table(
-            ("figure", "recall", "precision"),
-            [(name, *map(printed_at, values)) for name, *values in rows_of_noise],
-        ),
-        "## Agreement\n\nPredicted is fused, third is CAR.\n",
-        table(
-            ("shots", "share"),
-            [
-                (name, f"{count / max(sum(states.values()), 1):.1%}")
-                for name, count in states.items()
-            ],
-        ),
-        "## What evaluate says of fused\n\n### Against CAR\n",
-        *(f"- {note}" for note in asprs["match"]["notes"]),
-        "\n### Against the truth\n",
-        *(f"- {note}" for note in estimate["match"]["notes"]),
-    ]
-    return "\n".join(parts).replace(str(folder) + "/", "") + "\n"
+    print(f"`python -m benchmarks.car --length {length:g}`: {exact['n_scored']:,} shots.\n")
+    if times:
+        used_table(used)
+    print("## Scores against the truth\n")
+    say("""Classes of Lehtola et al. (2019), Table I. PRC is their method with both of their zeta_p.
+    fused is ours. CAR is scored on the shots that fused and CAR both have.""")
+    names = ("ground", "building", "vegetation", "noise")
+    scores_table({**towns["methods"], "CAR": three["three"]["third"]}, names)
+    say("""Classes of Stamos et al. (2012), Table 1, for every method. Sequential-angle is a method
+    for static scans: a drive is not what it was made for.""")
+    names = ("horizontal", "vertical", "vegetation", "car")
+    scores_table({**scans["methods"], "CAR": as_scan["three"]["third"]}, names)
+    print("## Noise\n\nOf fused.\n")
+    noises = [(name, *map(printed_at, values)) for name, *values in rows_of_noise]
+    table(("figure", "recall", "precision"), noises)
+    print("## Agreement\n\nPredicted is fused, third is CAR.\n")
+    n_shots = max(sum(states.values()), 1)
+    table(("shots", "share"), ((name, f"{n / n_shots:.1%}") for name, n in states.items()))
+    print("## What evaluate says of fused\n")
+    for title, result in (("CAR", asprs), ("the truth", estimate)):
+        print(f"### Against {title}\n")
+        for note in result["match"]["notes"]:
+            print(f"- {note}".replace(f"{folder}/", ""))
+        print()
 
 
-def oakland_section(folder: Path) -> str:
+def oakland(folder: Path) -> None:
     """Compare fused on recovered lines with CAR on the registered points they came from, strip by
     strip."""
     rows: list[tuple[str, ...]] = []
     states: list[tuple[str, ...]] = []
     seconds: list[tuple[str, ...]] = []
-    for strip in (1, 2, 3):
+    names: tuple[str, ...] = ()
+    for strip in ("1", "2", "3"):
         scan = DATA / "oakland" / f"oakland_{strip}.csv.gz"
         labels = folder / f"fused_{strip}.npy"
         car = folder / f"car_{strip}.npy"
@@ -326,65 +291,29 @@ def oakland_section(folder: Path) -> str:
         start = time.perf_counter()
         codes = np.zeros(len(points), np.uint8)
         codes[there] = car_classes(points[there])
-        seconds.append(
-            (f"{strip}", f"{there.sum():,}", f"{used[1]:.1f}", f"{time.perf_counter() - start:.1f}")
-        )
+        took = (f"{used[1]:.1f}", f"{time.perf_counter() - start:.1f}")
+        seconds.append((strip, f"{there.sum():,}", *took))
         np.save(car, codes)
-        summary, *_ = prc(
-            "evaluate",
-            labels,
-            scan,
-            "--mapping",
-            "street_oakland",
-            "--third",
-            car,
-            "--mapping",
-            "third=asprs",
-            "--json",
-        )
-        three = summary["three"]
+        mappings = ("--mapping", "street_oakland", "--mapping", "third=asprs")
+        three = prc("evaluate", labels, scan, *mappings, "--third", car, "--json")[0]["three"]
         for name in ("ground", "building", "vegetation"):
             sides = [three[side]["classes"].get(name, {}) for side in ("predicted", "third")]
             if sides[0].get("n_reference"):
-                rows.append(
-                    (
-                        f"{strip} {name}",
-                        *(f"{side.get(score) or 0:.3f}" for side in sides for score in SCORES),
-                    )
-                )
+                cells = (f"{side.get(score) or 0:.3f}" for side in sides for score in SCORES)
+                rows.append((f"{strip} {name}", *cells))
+        names = tuple(three["states"])
         total = max(sum(three["states"].values()), 1)
-        states.append((f"{strip}", *(f"{count / total:.1%}" for count in three["states"].values())))
-    names = tuple(three["states"])
-    return "\n".join(
-        [
-            f"{OAKLAND}\n",
-            (
-                "Written by `python -m benchmarks.car --oakland`. Labels were made by hand on "
-                "the registered points. CAR reads"
-            ),
-            (
-                "these points. fused reads lines, angles and ranges that were recovered from "
-                "them by fitting (.5 degrees, 1 cm):"
-            ),
-            (
-                "its side is no raw stream either, and its noise had been deleted. Strip 1 "
-                "decided limits of the fused method,"
-            ),
-            (
-                "strip 2 one of its rules, strip 3 nothing. Times include Python's start; "
-                "other work ran beside them.\n"
-            ),
-            table(
-                (
-                    "strip and class",
-                    *(f"{side} {score}" for side in ("fused", "CAR") for score in SCORES),
-                ),
-                rows,
-            ),
-            table(("strip", *names), states),
-            table(("strip", "points", "fused [s]", "CAR [s]"), seconds),
-        ]
-    )
+        states.append((strip, *(f"{n / total:.1%}" for n in three["states"].values())))
+    print("## Oakland's registered points\n")
+    say("""Labels were made by hand on the registered points. CAR reads these points. fused reads
+    lines, angles and ranges that were recovered from them by fitting (.5 degrees, 1 cm): its side
+    is no raw stream either, and its noise had been deleted. Strip 1 decided limits of the fused
+    method, strip 2 one of its rules, strip 3 nothing. Times include Python's start; other work ran
+    beside them.""")
+    sides_and_scores = (f"{side} {score}" for side in ("fused", "CAR") for score in SCORES)
+    table(("strip and class", *sides_and_scores), rows)
+    table(("strip", *names), states)
+    table(("strip", "points", "fused [s]", "CAR [s]"), seconds)
 
 
 def large(n: int, folder: Path) -> str:
@@ -415,39 +344,25 @@ def large(n: int, folder: Path) -> str:
 
 
 def main() -> None:
-    """Write the page, or print the figures of large files."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    """Print the page, or the figures of large files."""
+    parser = parser_of(__doc__)
     parser.add_argument(
         "--seed", type=int, default=7, help="of the street; 7 decided the rule of unmatched noise"
     )
     parser.add_argument("--length", type=float, default=LENGTH_M, help="length of the street [m]")
-    parser.add_argument("--page", type=Path, default=PAGE)
-    parser.add_argument(
-        "--oakland", action="store_true", help="write the section on the Oakland strips alone"
-    )
     parser.add_argument(
         "--times", action="store_true", help="also time and memory; for a quiet machine"
     )
-    parser.add_argument("--large", type=int, nargs="+", metavar="SHOTS")
+    parser.add_argument("--large", type=int, nargs="+", default=(), metavar="SHOTS")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        if options.large:
-            for n in options.large:
-                print(large(n, Path(folder)), flush=True)
-            return
-        before, _, section = (PAGE.read_text(encoding="utf-8") if PAGE.exists() else "").partition(
-            OAKLAND
-        )
-        section = OAKLAND + section.partition(TOOK)[0] if section else ""
-        if options.oakland:
-            section = oakland_section(Path(folder))
-        else:
-            before = page(Path(folder), options.length, options.seed, times=options.times) + "\n"
-        options.page.write_text(
-            f"{before.rstrip()}\n\n{section.rstrip()}\n\n{duration()}\n", encoding="utf-8"
-        )
+        for n in options.large:
+            print(large(n, Path(folder)), flush=True)
+        if not options.large:
+            print(heading("Figures before and after registration", "car"))
+            drive(Path(folder), options.length, options.seed, times=options.times)
+            oakland(Path(folder))
+            print(duration())
 
 
 if __name__ == "__main__":

@@ -235,13 +235,12 @@ def summary(sets: list[DataSet]) -> None:
         classes = list(dict.fromkeys(name for verdict in verdicts for name in verdict.present))
         title = "Simulated streets" if group == STREETS else group
         print(f"### {title}: F1 of the classes\n")
-        table(
-            ("", *classes),
-            (
-                (method, *(mean_and_worst(f1_of(items, method, name)) for name in classes))
-                for method in methods_of(items)
-            ),
-        )
+        rows = []
+        for method in methods_of(items):
+            cells = (mean_and_worst(f1_of(items, method, name)) for name in classes)
+            macro = np.mean([run.verdict.macro for run in runs_of(items, method)])
+            rows.append((method, *cells, f"{macro:.3f}"))
+        table(("", *classes, "macro"), rows)
 
 
 def goals(sets: list[DataSet]) -> None:
@@ -290,24 +289,15 @@ def tables(sets: list[DataSet]) -> None:
 def things(sets: list[DataSet]) -> None:
     """Print cars, poles and curbs."""
     print("## Cars, poles, curbs\n")
-    say("""First returns, all shots with a known reference: F1 (precision, recall; worst scan). A
-    curb is right if one of the reference is within 10 cm. A scan counts if it holds 100 shots of
-    the thing. Methods that never find it are left out.""")
+    say("""First returns, all shots with a known reference: F1 (worst scan). A curb is right if one
+    of the reference is within 10 cm. A scan counts if it holds 100 shots of the thing. Methods that
+    never find it are left out.""")
     groups = by_group(sets)
     for name in ("car", "pole", CURB):
         rows = []
         for method in methods_of(sets):
-            cells = []
-            for items in groups.values():
-                every = [run.things.get(name, [0]) for run in runs_of(items, method)]
-                counts = [three for three in every if three[-1] >= LEAST_SHOTS]
-                f1 = f1_of(items, method, name)
-                if not f1 or not any(found for _, found, _ in counts):
-                    cells.append("")
-                    continue
-                precision = np.mean([agree / max(found, 1) for agree, found, _ in counts])
-                recall = np.mean([agree / reference for agree, _, reference in counts])
-                cells.append(f"{np.mean(f1):.3f} ({precision:.2f}, {recall:.2f}; {min(f1):.2f})")
+            f1 = [f1_of(items, method, name) for items in groups.values()]
+            cells = [mean_and_worst(values) if any(values) else "" for values in f1]
             if any(cells):
                 rows.append((method, *cells))
         print(f"### {name[0].upper()}{name[1:]}\n")

@@ -139,21 +139,10 @@ class Simulated:
         if self.setback_m:
             scene["setback_m"] = self.setback_m
         scanner = {"name": self.scanner, **background(self.scanner, self.noise), **self.mount}
+        options = {"seed": self.seed, "scene": scene, "scanner": scanner}
         if self.kind == "street-scan":
-            return {
-                "seed": self.seed,
-                "lines": int(self.length_m),
-                "scene": scene,
-                "scanner": scanner,
-            }
-        motion = {"trajectory": {"stop_every_m": 0.0}}
-        return {
-            "seed": self.seed,
-            "length_m": self.length_m,
-            "scene": scene,
-            "scanner": scanner,
-            **motion,
-        }
+            return options | {"lines": int(self.length_m)}
+        return options | {"length_m": self.length_m, "trajectory": {"stop_every_m": 0.0}}
 
 
 PULSED = ("sick-push-broom", "profiler-1mhz", "scanstation2")

@@ -9,8 +9,10 @@ elevations of their rings."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +20,26 @@ from numpy.typing import NDArray
 from benchmarks.contest_data import Scan
 from prc_cli.core.types import F64, I64, U8
 
-_FIELDS = (
-    ("range", "f4"),
-    ("time", "f8"),
-    ("intensity", "f4"),
-    ("angle", "f8"),
-    ("scan_line", "u4"),
-    ("column", "u4"),
-    ("return_number", "u1"),
-    ("number_of_returns", "u1"),
-)
+Columns = Mapping[str, NDArray[Any]]
+_TYPES = {
+    **dict.fromkeys(("range", "intensity"), "f4"),
+    **dict.fromkeys(("time", "angle", "x", "y", "z"), "f8"),
+    **dict.fromkeys(("scan_line", "column"), "u4"),
+    **dict.fromkeys(("return_number", "number_of_returns", "user_data"), "u1"),
+}
+
+
+def dump(path: Path, columns: Columns, names: Sequence[str]) -> tuple[str, ...]:
+    """Write records with the named fields and their layout; return the options that name it."""
+    kinds = [(name, f"<{_TYPES[name]}") for name in names]
+    records = np.zeros(len(columns["range"]), kinds)
+    for name in names:
+        records[name] = columns[name]
+    records.tofile(path)
+    fields = "".join(f'    {{ name = "{name}", type = "{_TYPES[name]}" }},\n' for name in names)
+    layout = path.with_suffix(".layout.toml")
+    layout.write_text(f"fields = [\n{fields}]\n", encoding="utf-8")
+    return ("--layout", str(layout))
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,24 +107,24 @@ def _write_records(
     order = np.lexsort((range_m, cell))
     first = np.flatnonzero(np.diff(cell[order], prepend=-1) != 0)
     size = np.diff(np.append(first, len(order)))
-    records = np.zeros(len(order), np.dtype([(name, f"<{kind}") for name, kind in _FIELDS]))
-    records["range"] = range_m[order]
-    records["time"] = scan.time_s.ravel()[cell[order]]
     # the simulator tells the intensity of the strongest return only, which is that of the image
     strength = np.concatenate([scan.intensity.ravel()[there] + 1.0, np.zeros(len(scan.extra))])
-    records["intensity"] = strength[order]
-    records["scan_line"], records["column"] = np.divmod(cell[order], m)
-    records["angle"] = angle_deg[records["column"]]
-    records["return_number"] = np.arange(len(order)) - np.repeat(first, size) + 1
-    records["number_of_returns"] = np.repeat(size, size)
+    scan_line, column = np.divmod(cell[order], m)
+    columns = {
+        "range": range_m[order],
+        "time": scan.time_s.ravel()[cell[order]],
+        "intensity": strength[order],
+        "angle": angle_deg[column],
+        "scan_line": scan_line,
+        "column": column,
+        "return_number": np.arange(len(order)) - np.repeat(first, size) + 1,
+        "number_of_returns": np.repeat(size, size),
+    }
     path = folder / "scan.dat"
-    layout = folder / "scan.layout.toml"
-    records.tofile(path)
-    fields = "".join(f'    {{ name = "{name}", type = "{kind}" }},\n' for name, kind in _FIELDS)
-    layout.write_text(f"points_per_line = {m}\nfields = [\n{fields}]\n", encoding="utf-8")
+    layout = dump(path, columns, tuple(columns))
     place = np.empty(len(order), np.int64)
     place[order] = np.arange(len(order))
     record = np.full(scan.range_m.size, -1, np.int64)
     record[there] = place[: len(there)]
-    options = ("--layout", str(layout), "-M", str(m))
+    options = (*layout, "-M", str(m))
     return ScanFile(path, options, nadir, record.reshape(scan.range_m.shape), place[len(there) :])

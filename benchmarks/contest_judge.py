@@ -84,11 +84,10 @@ class Verdict:
 
     def __add__(self, verdict: Verdict) -> Verdict:
         """Pool two verdicts of the same classes."""
-        others = {name: dict(became) for name, became in self.others.items()}
-        for name, became in verdict.others.items():
-            counts = others.setdefault(name, {})
-            for column, n in became.items():
-                counts[column] = counts.get(column, 0) + n
+        others = {
+            name: {column: n + verdict.others[name][column] for column, n in became.items()}
+            for name, became in self.others.items()
+        }
         return Verdict(self.matrix + verdict.matrix, others)
 
 
@@ -127,8 +126,7 @@ def judge(scan: Scan, codes: NDArray[np.integer], extra_codes: NDArray[np.intege
     others = {}
     for name, listed in THINGS.get(scan.mapping, {}).items():
         n = np.bincount(index[np.isin(reference, listed)], minlength=len(columns))
-        if n.sum():
-            others[name] = dict(zip(columns, n.tolist(), strict=True))
+        others[name] = dict(zip(columns, n.tolist(), strict=True))
     return Verdict(matrix, others)
 
 

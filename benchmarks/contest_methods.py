@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from benchmarks import contest_files
 from benchmarks.contest_data import Scan
 from benchmarks.pages import ROOT
-from benchmarks.user import in_process
+from benchmarks.user import classify
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.classes import ClassCodes
-from prc_cli.core.config import merge
+from prc_cli.core.config import flatten, merge
 from prc_cli.core.threads import default_threads
 from prc_cli.core.types import U8
 from prc_cli.jobs.classify import label_blocks, load_classifier
@@ -68,7 +68,7 @@ class Method:
             chosen = ["--config", str(self.path)]
         options = self._options(scan)
         return chosen + [
-            part for key, value in _flat(options) for part in ("--set", f"{key}={value}")
+            part for key, value in flatten(options) for part in ("--set", f"{key}={value}")
         ]
 
     def command(self) -> str:
@@ -76,19 +76,9 @@ class Method:
         chosen = [] if self.preset is None else ["--preset", self.preset]
         if self.path is not None:
             chosen = ["--config", str(self.path.relative_to(ROOT))]
-        return " ".join([*chosen, *(f"--set {key}={value}" for key, value in _flat(self.options))])
-
-
-def _flat(table: dict[str, Any], before: str = "") -> list[tuple[str, Any]]:
-    """Return a nested table as ``--set`` takes it."""
-    keys: list[tuple[str, Any]] = []
-    for key, value in table.items():
-        where = f"{before}{key}"
-        if isinstance(value, dict):
-            keys += _flat(value, f"{where}.")
-        else:
-            keys.append((where, str(value).lower() if isinstance(value, bool) else value))
-    return keys
+        return " ".join(
+            [*chosen, *(f"--set {key}={value}" for key, value in flatten(self.options))]
+        )
 
 
 def _zeta(zeta_s: float, zeta_p: float) -> dict[str, Any]:
@@ -175,30 +165,21 @@ def label_scan(scan: Scan, method: Method) -> Labelled:
         load_classifier(config)
     with tempfile.TemporaryDirectory() as name:
         file = contest_files.write(scan, Path(name))
-        output = Path(name) / "labels.npy"
         said: list[str] = []
         for nadir in ((), file.nadir) if file.nadir else ((),):
-            command = [
-                "classify",
-                str(file.path),
-                str(output),
-                *file.options,
-                *method.arguments(scan),
-                *nadir,
-                "-q",
-            ]
             start = time.perf_counter()
             busy = time.process_time()
-            code, stderr = in_process(command)
+            options = (*file.options, *method.arguments(scan), *nadir)
+            done = classify(file.path, Path(name) / "labels.npy", options)
             wall_s = time.perf_counter() - start
             cpu_s = time.process_time() - busy
             said += [
-                f"{code}: {line.replace(f'{name}/', '')}"
-                for line in stderr.splitlines()
+                f"{done.exit_code}: {line.replace(f'{name}/', '')}"
+                for line in done.stderr.splitlines()
                 if line.strip()
             ]
-            if output.exists():
-                codes = np.load(output).ravel()
+            codes = done.labels
+            if codes is not None:
                 break
         else:
             if file.record is None:

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.contest_data import Scan
-from prc_cli.core.types import F64, I32, U8, Mask
+from prc_cli.core.types import F64, I32, I64, U8, Mask
 
 Step: TypeAlias = dict[str, Any]
 """A filter and its parameters."""
@@ -35,24 +37,18 @@ PACKAGES = {
 """Package of every filter."""
 
 
+@dataclass(frozen=True, slots=True)
 class Points:
     """All returns of a scan."""
 
-    def __init__(
-        self,
-        xyz_m: F64,
-        line: I32,
-        scanner_m: F64,
-        height_m: float,
-    ) -> None:
-        self.xyz_m = xyz_m
-        self.line = line
-        self.scanner_m = scanner_m
-        self.height_m = height_m
+    xyz_m: F64
+    line: I32
+    scanner_m: F64
+    height_m: float
 
     def some(self, which: Mask) -> Points:
         """Return some of the points."""
-        return Points(self.xyz_m[which], self.line[which], self.scanner_m, self.height_m)
+        return replace(self, xyz_m=self.xyz_m[which], line=self.line[which])
 
     def no_codes(self) -> U8:
         """Return codes before any filter, (n,)."""
@@ -117,19 +113,25 @@ def csf(
     slope_smoothing: bool,
 ) -> Mask:
     """Cloth simulation filter (Zhang et al. 2016), its authors' package."""
+    return cloth(
+        points.xyz_m,
+        cloth_resolution=resolution_m,
+        class_threshold=threshold_m,
+        rigidness=rigidness,
+        bSloopSmooth=slope_smoothing,
+    )
+
+
+def cloth(xyz_m: F64, **parameters: float) -> Mask:
+    """Mark the ground by the cloth simulation filter; parameters have the names of its package."""
     module = import_module("CSF")
-    cloth = module.CSF()
-    cloth.params.bSloopSmooth = slope_smoothing
-    cloth.params.cloth_resolution = resolution_m
-    cloth.params.class_threshold = threshold_m
-    cloth.params.rigidness = rigidness
-    cloth.setPointCloud(points.xyz_m)
+    simulation = module.CSF()
+    for name, value in parameters.items():
+        setattr(simulation.params, name, value)
+    simulation.setPointCloud(np.ascontiguousarray(xyz_m))
     ground = module.VecInt()
-    rest = module.VecInt()
-    cloth.do_filtering(ground, rest, False)
-    is_ground = np.zeros(len(points.xyz_m), dtype=bool)
-    is_ground[np.array(ground, dtype=np.int64)] = True
-    return is_ground
+    simulation.do_filtering(ground, module.VecInt(), False)
+    return ~_left_out(len(xyz_m), ground)
 
 
 def patchwork(
@@ -144,18 +146,15 @@ def patchwork(
 
     A frame holds the points of some metres of the drive, with the scanner in its middle at the
     origin and z up, because a single line of a profiler has too little ground."""
-    module = import_module("pypatchworkpp")
-    params = module.Parameters()
-    params.verbose = False
-    params.sensor_height = points.height_m
-    params.enable_RNR = (
-        False  # it finds reflections below the ground by intensities of the scanner of that paper
+    filtered = patchworkpp(
+        points.height_m,
+        # it finds reflections below the ground by intensities of the scanner of that paper
+        enable_RNR=False,
+        min_range=0.0,
+        max_range=reach_m,
+        th_dist=distance_m,
+        uprightness_thr=upright,
     )
-    params.min_range = 0.0
-    params.max_range = reach_m
-    params.th_dist = distance_m
-    params.uprightness_thr = upright
-    filtered = module.patchworkpp(params)
     way_m = np.concatenate(
         [[0.0], np.cumsum(np.hypot(*np.diff(points.scanner_m[:, :2], axis=0).T))]
     )
@@ -168,11 +167,23 @@ def patchwork(
         if not len(members):
             continue
         middle = points.scanner_m[lines[len(lines) // 2]]
-        filtered.estimateGround(
-            np.ascontiguousarray(points.xyz_m[members] - middle, dtype=np.float32)
-        )
-        is_ground[members[np.asarray(filtered.getGroundIndices(), dtype=np.int64)]] = True
+        is_ground[members[ground_of(filtered, points.xyz_m[members] - middle)]] = True
     return is_ground
+
+
+def patchworkpp(height_m: float, **parameters: float) -> Any:
+    """Return the filter for a scanner; parameters have the names of its package."""
+    module = import_module("pypatchworkpp")
+    params = module.Parameters()
+    for name, value in {"verbose": False, "sensor_height": height_m, **parameters}.items():
+        setattr(params, name, value)
+    return module.patchworkpp(params)
+
+
+def ground_of(filtered: Any, points: NDArray[np.floating]) -> I64:
+    """Return the indices of the ground points."""
+    filtered.estimateGround(np.ascontiguousarray(points, dtype=np.float32))
+    return np.asarray(filtered.getGroundIndices(), dtype=np.int64)
 
 
 def smrf(

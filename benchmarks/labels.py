@@ -37,7 +37,6 @@ from benchmarks import contest_data as data
 from benchmarks import contest_files, contest_judge, rings
 from benchmarks.contest_data import Scan, Simulated
 from benchmarks.pages import DATA, commands, duration, heading, parser_of, say, table
-from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.types import I32
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.scores import scores
@@ -150,10 +149,7 @@ def marked(records: np.ndarray) -> I32:
     return codes
 
 
-CODES = {label.name.lower(): ClassCodes().code(label) for label in Label} | {
-    "unsure": 0,
-    "other": rings.OTHER,
-}
+CODES = rings.CODES | {"unsure": 0, "other": rings.OTHER}
 
 
 def argoverse(k: int, folder: Path) -> Case:

@@ -31,11 +31,6 @@ Or where it stops.
 """
 FAILED_SHARE = 0.05
 """The same as a share of the way; the greater counts."""
-PARTS_M = (5.0, 10.0, 20.0, 40.0)
-"""Lengths of the parts of KITTI's t_rel and r_rel.
-
-KITTI's own, 100 to 800 m, are longer than the drives.
-"""
 DOWN_M = 0.25
 VOXEL_M = 1.0
 """small_gicp: as its example of odometry, points one in 0.25 m, voxels of the map 1 m."""

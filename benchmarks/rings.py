@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from benchmarks.contest_data import view_paths
 from benchmarks.contest_judge import THINGS, UNKNOWN, mapping_of
+from benchmarks.contest_peers import ground_of, installed, patchworkpp
 from benchmarks.pages import DATA, duration, heading, say, table
 from prc_cli import ClassCodes, DoubtWarning, Label, classify
 from prc_cli.core.types import F32, I64, U8, Mask
@@ -202,14 +203,9 @@ def argoverse(folder: Path) -> Iterator[Frame]:
         yield Frame(f"av2_{name}", f"av2_{name}", file, xyz, codes, name == "up")
 
 
-def label(frame: Frame) -> tuple[U8, str]:
+def label(frame: Frame, folder: Path) -> tuple[U8, str]:
     """Return the codes of a frame's records, and what was doubted."""
-    output = (
-        frame.path
-        if frame.path.parent != DATA / "kitti"
-        else Path(tempfile.gettempdir()) / frame.path.name
-    )
-    output = output.with_suffix(".labels.npy")
+    output = folder / f"{frame.name}.labels.npy"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DoubtWarning)
         summary = classify(frame.path, output, overwrite=True)
@@ -233,20 +229,14 @@ def quiet() -> Iterator[None]:
 
 def patchwork(frame: Frame) -> Mask | None:
     """Return the ground of Patchwork++, None where it is not installed."""
-    try:
-        module = import_module("pypatchworkpp")
-    except ImportError:
+    if installed("patchwork") is None:
         return None
-    params = module.Parameters()
-    params.verbose = False
-    params.sensor_height = SCANNER_M[frame.group.removesuffix("_views")]
     with quiet():
-        filtered = module.patchworkpp(params)
+        filtered = patchworkpp(SCANNER_M[frame.group.removesuffix("_views")])
     there = np.flatnonzero(np.isfinite(frame.xyz_m[:, 0]))
     points = np.column_stack([frame.xyz_m[there], np.zeros(len(there), np.float32)])
-    filtered.estimateGround(np.ascontiguousarray(points, dtype=np.float32))
     is_ground = np.zeros(len(frame.xyz_m), np.bool_)
-    is_ground[there[np.asarray(filtered.getGroundIndices(), np.int64)]] = True
+    is_ground[there[ground_of(filtered, points)]] = True
     return is_ground
 
 
@@ -312,7 +302,7 @@ def rows_of(wanted: tuple[str, ...], means: Means) -> Iterator[tuple[str, ...]]:
         for frame in frames(Path(folder)):
             if wanted and not frame.name.startswith(wanted):
                 continue
-            codes, doubts = label(frame)
+            codes, doubts = label(frame, Path(folder))
             frame_scores = scores(frame, codes)
             mask = None if frame.group == "snow" else patchwork(frame)
             peer_scores = {} if mask is None else ground_scores(frame, mask)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -88,17 +89,9 @@ def write_scan(folder: Path, seed: int, *options: dict[str, Any]) -> tuple[Path,
     """Simulate a static scan into a file, and the class codes of its reference."""
     source = folder / "scan.npz"
     reference = folder / "reference.npy"
-    settings = load_settings("street-scan", options=merged({"seed": seed}, *options))
+    settings = load_settings("street-scan", options=reduce(merge, options, {"seed": seed}))
     simulate("street-scan", source, settings, beside=Beside(labels=reference), overwrite=True)
     return source, reference
-
-
-def merged(*options: dict[str, Any]) -> dict[str, Any]:
-    """Merge nested tables."""
-    options_so: dict[str, Any] = {}
-    for option in options:
-        options_so = merge(options_so, option)
-    return options_so
 
 
 def print_scores(rows: dict[str, ConfusionMatrix], names: tuple[str, ...]) -> None:

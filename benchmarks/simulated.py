@@ -14,28 +14,23 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.contest_data import oakland as oakland_scan
-from benchmarks.pages import DATA, ROOT, commands, printed_at, run_parts, say, table
+from benchmarks.pages import commands, printed_at, run_parts, say, table
 from prc_cli.config import LoadedConfig, load_config
-from prc_cli.core.classes import ClassCodes
-from prc_cli.core.types import F32, F64, I64, U8, Mask
+from prc_cli.core.types import F32, F64, I64, Mask
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.evaluation.scores import scores
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.evaluate import evaluate
 from prc_cli.jobs.simulate import simulate
-from prc_cli.simulation.forest.reference import reference_labels
-from prc_cli.simulation.forest.scene import ForestScene
 from prc_cli.simulation.scanners import SCANNERS
 from prc_cli.simulation.settings import Kind, load_settings, open_simulation
-
-SICK = ROOT / "sample_configs" / "sick_push_broom.toml"
 
 FIRST_SEED = 301
 """Held-out seeds, not used to develop scenes, scanners and classifiers."""
@@ -75,6 +70,8 @@ TABLE_II_COUNTS = np.array(
 """Counts of the same table; their rows differ from the printed recall values."""
 RELAXED_STEM = (0.204, 0.413)
 """Recall and precision of stems with 1.0 m and 0.1 m, section IV-C."""
+Reference = Literal["cylinders", "truth"]
+REFERENCES: tuple[Reference, ...] = ("cylinders", "truth")
 ZETAS = ((0.01, 0.01), (1.0, 0.1))
 PLOTS = {"mixed": 3, "pine-heath": 1, "dense-spruce": 1}
 WALK_M = 20.0
@@ -97,10 +94,11 @@ OAKLAND_SCENES: dict[str, dict[str, Any]] = {
 OAKLAND_LINES = 1500
 
 
-def made(kind: Kind, folder: Path, **options: Any) -> Path:
+def made(kind: Kind, folder: Path, reference: Reference = "truth", **options: Any) -> Path:
     """Simulate into a file, as the command does."""
     target = folder / f"{kind}.npz"
-    simulate(kind, target, load_settings(kind, options=options), overwrite=True)
+    settings = load_settings(kind, options=options)
+    simulate(kind, target, settings, reference=reference, overwrite=True)
     return target
 
 
@@ -108,12 +106,11 @@ def compared(
     source: Path,
     config: LoadedConfig,
     mapping: str,
-    reference: Path | None = None,
 ) -> ConfusionMatrix:
     """Classify a file and compare with its reference."""
     labels = source.with_name("labels.npy")
     classify(source, labels, config, overwrite=True)
-    return evaluate(labels, source if reference is None else reference, mapping)
+    return evaluate(labels, source, mapping)
 
 
 def pooled(parts: Iterable[ConfusionMatrix]) -> ConfusionMatrix:
@@ -131,14 +128,8 @@ def recall_table(
     whole = shares_of(pooled(parts), rows, columns)
     low = np.nanmin(shares, axis=0)
     high = np.nanmax(shares, axis=0)
-    spread = len(parts) > 1
     return [
-        [
-            f"{whole[i, j]:.3f} ({low[i, j]:.2f}–{high[i, j]:.2f})"
-            if spread
-            else f"{whole[i, j]:.3f}"
-            for j in range(len(columns))
-        ]
+        [f"{whole[i, j]:.3f} ({low[i, j]:.2f}–{high[i, j]:.2f})" for j in range(len(columns))]
         for i in range(len(rows))
     ]
 
@@ -150,17 +141,21 @@ def shares_of(matrix: ConfusionMatrix, rows: tuple[str, ...], columns: tuple[str
     return matrix.row_shares()[np.ix_(row, column)]
 
 
-def urban_config(zeta_p: float) -> LoadedConfig:
-    return load_config(preset="prc-2019-urban", options={"prc": {"support": {"zeta_p": zeta_p}}})
+def streets(folder: Path, n: int, **options: Any) -> dict[float, list[ConfusionMatrix]]:
+    """Simulate and classify streets, and compare each; a list for every zeta_p of Table I."""
+    matrices: dict[float, list[ConfusionMatrix]] = {zeta: [] for zeta in TABLE_I}
+    for seed in range(FIRST_SEED, FIRST_SEED + n):
+        source = made("street", folder, seed=seed, **options)
+        for zeta, parts in matrices.items():
+            support = {"prc": {"support": {"zeta_p": zeta}}}
+            config = load_config(preset="prc-2019-urban", options=support)
+            parts.append(compared(source, config, "lehtola_urban"))
+    return matrices
 
 
 def urban(folder: Path) -> None:
     """Drives down streets beside Table I."""
-    matrices: dict[float, list[ConfusionMatrix]] = {zeta: [] for zeta in TABLE_I}
-    for seed in range(FIRST_SEED, FIRST_SEED + STREETS):
-        source = made("street", folder, seed=seed, length_m=STREET_M)
-        for zeta, parts in matrices.items():
-            parts.append(compared(source, urban_config(zeta), "lehtola_urban"))
+    matrices = streets(folder, STREETS, length_m=STREET_M)
     print("## Streets: Table I\n")
     n = pooled(matrices[1.0]).n_scored
     say(f"""{STREETS} mixed streets of {STREET_M:g} m, Photon 80 with the paper's mount, 30 km/h:
@@ -199,74 +194,22 @@ def print_table_i(
 def set_back(folder: Path) -> None:
     """The same by the distance of the facades."""
     print("### Distance of the facades\n")
-    say("""Residential streets again, their facades farther and farther behind the usual line (which
-    is 8.8 m to 12.8 m from the middle of the road).""")
+    say(f"""{MORE_STREETS} residential streets of {MORE_M:g} m, A = 30, γ = 2; recall, and the share
+    of buildings that is taken for ground. Facades stand farther and farther behind the usual line
+    (which is 8.8 m to 12.8 m from the middle of the road).""")
     commands("prc simulate street street.npz --scene residential --set scene.setback_m=12")
-    scenes: dict[str, dict[str, Any]] = {
-        f"{m:g} m farther": {"name": "residential", "setback_m": m} for m in SET_BACK_M
-    }
-    print_diagonals(folder, scenes)
-
-
-def print_diagonals(folder: Path, scenes: dict[str, dict[str, Any]]) -> None:
     rows = []
-    for name, scene in scenes.items():
-        matrices: dict[float, list[ConfusionMatrix]] = {zeta: [] for zeta in TABLE_I}
-        for seed in range(FIRST_SEED, FIRST_SEED + MORE_STREETS):
-            source = made("street", folder, seed=seed, length_m=MORE_M, scene=scene)
-            for zeta, parts in matrices.items():
-                parts.append(compared(source, urban_config(zeta), "lehtola_urban"))
+    for farther_m in SET_BACK_M:
+        scene = {"name": "residential", "setback_m": farther_m}
+        matrices = streets(folder, MORE_STREETS, length_m=MORE_M, scene=scene)
         for zeta, parts in matrices.items():
             cells = recall_table(parts, URBAN_ROWS, URBAN_COLUMNS)
             diagonal = [cells[i][i] for i in range(len(URBAN_COLUMNS))]
-            rows.append((name, f"{zeta:g}", *diagonal, cells[3][1]))
+            rows.append((f"{farther_m:g} m farther", f"{zeta:g}", *diagonal, cells[3][1]))
     for zeta, published in TABLE_I.items():
         diagonal = [f"*{published[i][i]:.3f}*" for i in range(4)]
         rows.append(("*the paper*", f"{zeta:g}", *diagonal, f"*{published[3][1]:.3f}*"))
     table(("street", "ζ_p", *URBAN_COLUMNS, "building as ground"), rows)
-
-
-@dataclass(frozen=True, slots=True)
-class Walk:
-    """A walk through a forest with two references."""
-
-    source: Path
-    references: dict[str, Path]
-
-
-def walk(folder: Path, scene: str, seed: int) -> Walk:
-    """Simulate once, label twice.
-
-    The same as with --reference truth and with --reference cylinders.
-    """
-    options = {"seed": seed, "length_m": WALK_M, "scene": {"name": scene}}
-    simulation = open_simulation(
-        "forest", load_settings("forest", options=options), with_world=True
-    )
-    forest = simulation.scene
-    assert isinstance(forest, ForestScene)
-    lookup = ClassCodes().lookup()
-    ranges: list[F32] = []
-    codes: dict[str, list[U8]] = {"cylinders": [], "truth": []}
-    for scan_line in simulation.scan.simulated():
-        ranges.append(scan_line.labelled.block.range_m)
-        assert scan_line.world_m is not None
-        codes["truth"].append(lookup[scan_line.labelled.labels].ravel())
-        codes["cylinders"].append(
-            lookup[reference_labels(forest, scan_line.world_m.reshape(-1, 3))]
-        )
-    source = folder / "walk.npy"
-    np.save(source, np.concatenate(ranges))
-    references = {name: folder / f"reference_{i}.npy" for i, name in enumerate(codes)}
-    for name, path in references.items():
-        np.save(path, np.concatenate(codes[name]))
-    return Walk(source, references)
-
-
-def forest_config(zeta_s: float, zeta_p: float) -> LoadedConfig:
-    return load_config(
-        preset="prc-2019-forest", options={"prc": {"support": {"zeta_s": zeta_s, "zeta_p": zeta_p}}}
-    )
 
 
 def forest(folder: Path) -> None:
@@ -274,13 +217,14 @@ def forest(folder: Path) -> None:
     matrices: dict[tuple[str, str, tuple[float, float]], list[ConfusionMatrix]] = {}
     for scene, n in PLOTS.items():
         for seed in range(FIRST_SEED, FIRST_SEED + n):
-            run = walk(folder, scene, seed)
-            for zetas in ZETAS:
-                labels = folder / "labels.npy"
-                classify(run.source, labels, forest_config(*zetas), overwrite=True)
-                for name, reference in run.references.items():
-                    matrix = evaluate(labels, reference, "lehtola_forest")
-                    matrices.setdefault((scene, name, zetas), []).append(matrix)
+            options = {"seed": seed, "length_m": WALK_M, "scene": {"name": scene}}
+            for kind in REFERENCES:
+                source = made("forest", folder, kind, **options)
+                for zetas in ZETAS:
+                    support = {"prc": {"support": {"zeta_s": zetas[0], "zeta_p": zetas[1]}}}
+                    config = load_config(preset="prc-2019-forest", options=support)
+                    matrix = compared(source, config, "lehtola_forest")
+                    matrices.setdefault((scene, kind, zetas), []).append(matrix)
     parts = matrices["mixed", "cylinders", ZETAS[0]]
     print("## Forest: Table II\n")
     say(f"""{PLOTS["mixed"]} mixed plots, {WALK_M:g} m walked in each, Focus3D 120 on a backpack:
@@ -295,7 +239,7 @@ def forest(folder: Path) -> None:
         "prc evaluate labels.npy walk.npz --mapping lehtola_forest",
     )
     for zetas in ZETAS:
-        for kind in ("cylinders", "truth"):
+        for kind in REFERENCES:
             paper = TABLE_II if zetas == ZETAS[0] and kind == "cylinders" else None
             print_table_ii(
                 f"ζ_s = {zetas[0]:g} m, ζ_p = {zetas[1]:g} m, reference: {kind}",
@@ -362,8 +306,6 @@ class Strip:
 
     range_m: F32
     """(lines, M) [m]"""
-    predicted: I64
-    """(lines, M) codes that PRC gives, 0 = missing."""
     reference: I64
     """(lines, M) codes of the reference."""
 
@@ -386,16 +328,6 @@ def strip_numbers(strip: Strip, mapping: str) -> dict[str, float]:
     for name in ("ground", "vegetation", "building", "other", "noise"):
         share = (index == names.index(name)).sum() / (index >= 0).sum() if name in names else 0.0
         numbers[f"reference: {name}"] = float(share)
-    codes = {name: code for code, name in ClassCodes().names().items()}
-    classified = strip.predicted[strip.predicted != 0]
-    numbers["PRC: S, supported"] = float((classified != codes["noise"]).mean())
-    numbers["PRC: G, ground"] = float((classified == codes["ground"]).mean())
-    for name in ("vegetation", "building"):
-        numbers[f"PRC: {name}"] = float((classified == codes[name]).mean())
-    building = strip.predicted[(index == names.index("building")) & (strip.predicted != 0)]
-    numbers["PRC: building as ground"] = (
-        float((building == codes["ground"]).mean()) if building.size else np.nan
-    )
     return numbers
 
 
@@ -404,14 +336,11 @@ def median(numbers: NDArray[np.floating[Any]]) -> float:
     return float(np.median(there)) if there.size else np.nan
 
 
-def oakland_strip(strip: int, folder: Path, config: LoadedConfig) -> Strip:
+def real_strip(number: int) -> Strip:
     """Return a real strip over the angles that all have."""
-    scan = oakland_scan(strip)
+    scan = oakland_scan(number)
     inside = _inside(scan.angle_rad)
-    labels = folder / "labels.npy"
-    classify(DATA / "oakland" / f"oakland_{strip}.csv.gz", labels, config, overwrite=True)
-    predicted = np.load(labels).reshape(scan.codes.shape).astype(np.int64)
-    return Strip(scan.range_m[:, inside], predicted[:, inside], scan.codes[:, inside])
+    return Strip(scan.range_m[:, inside], scan.codes[:, inside])
 
 
 def _inside(angle_rad: F64) -> Mask:
@@ -419,48 +348,36 @@ def _inside(angle_rad: F64) -> Mask:
     return (angle_deg >= OAKLAND_DEG[0]) & (angle_deg <= OAKLAND_DEG[1])
 
 
-def push_broom(folder: Path, scene: dict[str, Any], config: LoadedConfig) -> Strip:
+def push_broom(folder: Path, scene: dict[str, Any]) -> Strip:
     """Return a simulated strip over the same angles."""
-    motion = {"speed_m_s": OAKLAND_SPEED_M_S, "stop_every_m": 0.0}
-    chosen = {"name": "sick-push-broom"}
     source = made(
         "street",
         folder,
         seed=FIRST_SEED,
         lines=OAKLAND_LINES,
-        trajectory=motion,
-        scanner=chosen,
+        trajectory={"speed_m_s": OAKLAND_SPEED_M_S, "stop_every_m": 0.0},
+        scanner={"name": "sick-push-broom"},
         scene=scene,
     )
-    labels = folder / "labels.npy"
-    classify(source, labels, config, overwrite=True)
     inside = _inside(SCANNERS["sick-push-broom"].angle_rad())
     with np.load(source) as arrays:
-        ranges = arrays["range_m"]
-        reference = arrays["class"].astype(np.int64)
-    predicted = np.load(labels).reshape(ranges.shape).astype(np.int64)
-    return Strip(ranges[:, inside], predicted[:, inside], reference[:, inside])
+        return Strip(arrays["range_m"][:, inside], arrays["class"][:, inside].astype(np.int64))
 
 
 def oakland(folder: Path) -> None:
     """A push-broom scanner simulated over several kinds of street, beside three real strips."""
-    config = load_config(SICK)
-    columns = {
-        f"strip {n}": strip_numbers(oakland_strip(n, folder, config), "oakland") for n in (1, 2, 3)
-    }
+    columns = {f"strip {n}": strip_numbers(real_strip(n), "oakland") for n in (1, 2, 3)}
     for title, scene in OAKLAND_SCENES.items():
-        columns[f"*{title}*"] = strip_numbers(push_broom(folder, scene, config), "prc")
+        columns[f"*{title}*"] = strip_numbers(push_broom(folder, scene), "prc")
     print("## Beside the real push-broom scans (Oakland)\n")
     say(f"""Three real strips of a campus, and {OAKLAND_LINES} simulated lines (in italics) of
     several kinds of street, 22 cm apart, over the same angles from nadir ({OAKLAND_DEG[0]:g}° to
     {OAKLAND_DEG[1]:g}°). The streets are no models of the strips. Steps are differences of ranges
-    between neighbours that both have a return, by class where both have that class. PRC with
-    `sample_configs/sick_push_broom.toml`.""")
+    between neighbours that both have a return, by class where both have that class.""")
     commands(
         f"prc simulate street strip.npz --scanner sick-push-broom --lines {OAKLAND_LINES} \\\n"
         f"      --set trajectory.speed_m_s={OAKLAND_SPEED_M_S:.3g} "
         f"--set trajectory.stop_every_m=0 --seed {FIRST_SEED}",
-        "prc classify strip.npz labels.npy --config sample_configs/sick_push_broom.toml",
     )
     rows = []
     for name in next(iter(columns.values())):

@@ -9,7 +9,6 @@ Jobs of a table run in turn, so that other load affects all of them; the least t
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shutil
 import subprocess
@@ -146,12 +145,11 @@ def in_memory(folder: Path, n_lines: int) -> None:
 
 def static_scans(folder: Path, n_lines: int) -> None:
     """Print rates of sequential-angle on a simulated static scan."""
+    del folder
     config = load_config(preset="street-scan")
     options = {"seed": 3, "lines": min(n_lines, 1565)}
     scan = open_simulation("street-scan", load_settings("street-scan", options=options)).scan
     blocks = list(scan.blocks())
-    source = folder / "station.npz"
-    run("simulate", "street-scan", source, "--lines", options["lines"], "--seed", 3, "-q")
     n_shots = sum(block.range_m.size for block in blocks)
 
     def label_all(threads: int) -> None:
@@ -162,10 +160,6 @@ def static_scans(folder: Path, n_lines: int) -> None:
         f"all stages, in memory, {n} thread{'s' * (n > 1)}": partial(label_all, n)
         for n in sorted({1, default_threads()})
     }
-    for suffix in (".npy", ".laz"):
-        jobs[f"from .npz to {suffix}"] = partial(
-            classify, source, folder / f"o{suffix}", config, overwrite=True
-        )
     print("## Sequential-angle in memory\n")
     table(
         ("work", "million shots a second"),
@@ -183,7 +177,6 @@ def files(folder: Path, n_lines: int) -> None:
     image = np.memmap(raw, "<f4", "r").reshape(-1, POINTS_PER_LINE)
     np.savez(array, range_m=image)
     write_csv(text, raw)
-    in_memory = np.array(image)
     labels = np.ones(image.size, np.uint8)
     config = load_config(
         preset="prc-2019-urban", options={"input": {"points_per_line": POINTS_PER_LINE}}
@@ -211,8 +204,6 @@ def files(folder: Path, n_lines: int) -> None:
                 then_write, partial(csv.read_csv, text, convert_options=kinds)
             ),
             "csv to labels": partial(to_labels, text),
-            "PRC in memory": lambda: classify_ranges(in_memory, config).labels,
-            "SHA-256": lambda: hashlib.sha256(raw.read_bytes()),
         }
     )
     print(f"## Files\n\n{image.size / 1e6:.1f} million shots, inputs in the cache.\n")
@@ -222,8 +213,6 @@ def files(folder: Path, n_lines: int) -> None:
             ("raw to labels", "raw: read, write", "2"),
             ("npz to labels", "npz: read, write", "2"),
             ("csv to labels", "csv: parse, write", "1.15"),
-            ("raw to labels", "PRC in memory", ""),
-            ("raw to labels", "SHA-256", ""),
         ),
     )
 
@@ -386,7 +375,6 @@ def latency(folder: Path, n_lines: int) -> None:
     rows = []
     for title, kind, scanner, preset, block in (
         ("urban, blocks of 99 lines, M 2154", "street", "photon-80", "prc-2019-urban", 99),
-        ("urban, blocks of 16 lines", "street", "photon-80", "prc-2019-urban", 16),
         ("forest, blocks of 255 lines, M 4270", "forest", "focus3d-120", "prc-2019-forest", 255),
     ):
         options = {"lines": max(min(n_lines, 900), 600), "scanner": {"name": scanner}}

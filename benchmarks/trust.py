@@ -20,7 +20,7 @@ import sys
 import tempfile
 import time
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, TypeAlias
@@ -28,7 +28,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from benchmarks.contest_judge import Verdict, compared
-from benchmarks.pages import ROOT, duration, heading, parser_of, say, table
+from benchmarks.pages import duration, heading, parser_of, say, table
 from benchmarks.trust_cases import (
     METHODS,
     ROWS,
@@ -40,7 +40,7 @@ from benchmarks.trust_cases import (
     right_forms,
 )
 from benchmarks.trust_scans import PARTS, Part, Source, Window, sources
-from benchmarks.user import Runner, in_own_process, in_process
+from benchmarks.user import Labelled, Runner, classify, in_own_process, in_process
 from prc_cli.core.types import I64, U8
 
 _OPTION = (
@@ -70,24 +70,6 @@ TOLD = "right: told"
 
 
 @dataclass(frozen=True, slots=True)
-class Done:
-    """What a run of the program says."""
-
-    exit_code: int
-    stderr: str
-    labels: U8 | None
-    """Codes of all records, None where nothing was written."""
-
-    @property
-    def is_refused(self) -> bool:
-        return self.labels is None
-
-    @property
-    def is_doubted(self) -> bool:
-        return not self.is_refused and (self.exit_code != 0 or WARNING in self.stderr)
-
-
-@dataclass(frozen=True, slots=True)
 class Result:
     """A case and what became of it."""
 
@@ -96,14 +78,12 @@ class Result:
     first_line: int
     method: str
     outcome: Outcome
-    exit_code: int
     f1: float
     """Macro F1, NaN where nothing was written."""
     f1_right: float
     """The same of the scan rightly told; 1 where that is refused."""
     said: str
     """First line on stderr."""
-    command: str
     is_right: bool = False
     """Whether nothing was wrong: doubts and refusals are false alarms."""
     hint_works: bool | None = None
@@ -125,18 +105,10 @@ class Trial:
     run: Runner = in_process
     results: list[Result] = field(default_factory=list)
 
-    def classify(self, stated: Told, method: tuple[str, ...]) -> tuple[Done, str]:
-        """Run ``prc classify``; return what it says and the command line."""
-        output = self.folder / "labels.npy"
-        for left in (output, output.with_name(output.name + ".prc.json")):
-            left.unlink(missing_ok=True)
-        options = [*method, *stated.options]
-        code, stderr = self.run(["classify", str(stated.path), str(output), *options, "-q"])
-        labels = np.load(output).ravel() if output.exists() else None
-        command = shlex.join(["prc", "classify", stated.path.name, output.name, *options])
-        return Done(code, stderr, labels), command.replace(f"{self.folder}/", "").replace(
-            f"{ROOT}/", ""
-        )
+    def classify(self, stated: Told, method: tuple[str, ...]) -> Labelled:
+        """Run ``prc classify``."""
+        options = (*method, *stated.options)
+        return classify(stated.path, self.folder / "labels.npy", options, self.run)
 
     def judge(
         self,
@@ -147,7 +119,7 @@ class Trial:
         is_right: bool = False,
     ) -> Result:
         """Run a case and say what became of it."""
-        done, command = self.classify(stated, case.options)
+        done = self.classify(stated, case.options)
         f1 = (
             float("nan")
             if done.labels is None
@@ -168,11 +140,9 @@ class Trial:
             case.first_line,
             case.method,
             outcome,
-            done.exit_code,
             f1,
             f1_right,
             said,
-            command,
             is_right,
             works,
         )
@@ -183,7 +153,7 @@ class Trial:
         self,
         case: Case,
         stated: Told,
-        done: Done,
+        done: Labelled,
         f1_right: float,
     ) -> bool | None:
         """Type what a message says, then what the next one says.
@@ -196,7 +166,7 @@ class Trial:
             if not typed or set(typed) <= set(stated.options[-len(typed) :]):
                 break
             stated = replace(stated, options=(*stated.options, *typed))
-            done, _ = self.classify(stated, case.options)
+            done = self.classify(stated, case.options)
             works = (
                 done.labels is not None
                 and macro_f1(case.mapping, done.labels, stated.truth) > f1_right - NEAR
@@ -231,11 +201,17 @@ class Case:
     """Of the method."""
 
 
-def outcome_of(done: Done, f1: float, f1_right: float) -> Outcome:
+def case_of(row: str, window: Window, method: str) -> Case:
+    """Return the case of a row at a window."""
+    place = window.scan, window.first_line
+    return Case(row, *place, method, window.mapping, METHODS[method])
+
+
+def outcome_of(done: Labelled, f1: float, f1_right: float) -> Outcome:
     """Return what became of a case."""
-    if done.is_refused:
+    if done.labels is None:
         return "refused"
-    if done.is_doubted:
+    if done.exit_code or WARNING in done.stderr:
         return "doubted"
     return "silent" if f1 < f1_right - LOST else "harmless"
 
@@ -277,7 +253,7 @@ def try_window(
     for method in methods_of(window):
         random = random_of(seed, "right", window.scan, window.first_line, method)
         context = Context(trial.folder, method, random)
-        case = Case(TOLD, window.scan, window.first_line, method, window.mapping, METHODS[method])
+        case = case_of(TOLD, window, method)
         forms = right_forms(window)
         stated = forms[form % len(forms)](window, context)
         right = trial.judge(case, stated, 0.0, is_right=True)
@@ -300,18 +276,16 @@ def try_row(
     made = row.make(window, replace(context, random=random))
     if made is None:
         return None
-    case = Case(
-        row.name,
-        window.scan,
-        window.first_line,
-        context.method,
-        window.mapping,
-        METHODS[context.method],
-    )
+    case = case_of(row.name, window, context.method)
     if isinstance(made, Pair):
         right = trial.judge(replace(case, row=f"right: {row.name}"), made.right, 0.0, is_right=True)
         return trial.judge(case, made.wrong, 1.0 if np.isnan(right.f1) else right.f1)
     return trial.judge(case, made, f1_right, is_right=row.is_right)
+
+
+def report_progress(text: str) -> None:
+    """Print how far the runs are."""
+    print(text, file=sys.stderr, flush=True)
 
 
 def run_set(
@@ -321,7 +295,6 @@ def run_set(
     *,
     is_quick: bool,
     only: str,
-    report_progress: Callable[[str], None],
 ) -> None:
     """Run all scans of a set."""
     rows = [row for row in ROWS if only in row.name]
@@ -460,7 +433,6 @@ def main() -> None:
     )
     arguments = parser.parse_args()
     start = time.perf_counter()
-    report_progress: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True)  # noqa: E731
     with tempfile.TemporaryDirectory() as name:
         trial = Trial(Path(name), in_own_process if arguments.processes else in_process)
         run_set(
@@ -469,7 +441,6 @@ def main() -> None:
             arguments.seed,
             is_quick=arguments.quick,
             only=arguments.only,
-            report_progress=report_progress,
         )
     results = trial.results
     print(heading("Trust: figures", "trust"))

@@ -20,6 +20,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pyarrow import csv
 
+from benchmarks.contest_files import dump
 from benchmarks.pages import ROOT
 from benchmarks.trust_scans import Window
 from prc_cli.core.types import F64, I64
@@ -50,18 +51,6 @@ METHODS: dict[str, tuple[str, ...]] = {
 AIMED = frozenset({"fused", "fused-forest", "sequential-angle"})
 """Methods that need to know where down is."""
 FEET = 1.0 / 0.3048
-_TYPES = {
-    "range": "<f4",
-    "intensity": "<f4",
-    "time": "<f8",
-    "x": "<f8",
-    "y": "<f8",
-    "z": "<f8",
-    "angle": "<f8",
-    "scan_line": "<u4",
-    "column": "<u4",
-    "user_data": "<u1",
-}
 NOISE = 7
 WEEK_S = 604_800.0
 PLACE_M = (650_000.0, 6_860_000.0, 40.0)
@@ -151,24 +140,6 @@ def shots_of(window: Window, *, returns_only: bool = False) -> Shots:
 def taken(shots: Shots, order: NDArray[np.integer[Any]]) -> Shots:
     """Return records in another order, or some of them."""
     return {name: values[order] for name, values in shots.items()}
-
-
-def dump(
-    path: Path,
-    shots: Shots,
-    names: Sequence[str],
-    points_per_line: int | None = None,
-) -> tuple[str, ...]:
-    """Write records with the named fields and their layout; return the options that name it."""
-    records = np.zeros(len(shots["range"]), np.dtype([(name, _TYPES[name]) for name in names]))
-    for name in names:
-        records[name] = shots[name]
-    records.tofile(path)
-    fields = "".join(f'    {{ name = "{name}", type = "{_TYPES[name][1:]}" }},\n' for name in names)
-    size = "" if points_per_line is None else f"points_per_line = {points_per_line}\n"
-    layout = path.with_suffix(".layout.toml")
-    layout.write_text(f"{size}fields = [\n{fields}]\n", encoding="utf-8")
-    return ("--layout", str(layout))
 
 
 def recorded(

@@ -10,12 +10,16 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
 
 from benchmarks.pages import ROOT
 from prc_cli.cli import main
+from prc_cli.core.types import U8
 from tests.messages import folded
 
 Runner: TypeAlias = Callable[[list[str]], tuple[int, str]]
@@ -48,6 +52,25 @@ def in_own_process(arguments: list[str]) -> tuple[int, str]:
     """Run the command line as a shell does."""
     done = run(*arguments, check=False)
     return done.code, folded(done.stderr)
+
+
+class Labelled(NamedTuple):
+    """What ``prc classify -q`` says."""
+
+    exit_code: int
+    stderr: str
+    labels: U8 | None
+    """Codes of all records, None where nothing was written."""
+
+
+def classify(
+    path: Path, output: Path, options: Sequence[str], run: Runner = in_process
+) -> Labelled:
+    """Classify a file as a user does."""
+    for left in (output, output.with_name(f"{output.name}.prc.json")):
+        left.unlink(missing_ok=True)
+    code, stderr = run(["classify", str(path), str(output), *options, "-q"])
+    return Labelled(code, stderr, np.load(output).ravel() if output.exists() else None)
 
 
 _CHILD = """
