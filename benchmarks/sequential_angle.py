@@ -62,14 +62,15 @@ class Setting:
 FINE: dict[str, Any] = {"scanner": {"name": "scanstation2-1mm"}}
 """The noise that Stamos et al. (2012) give in footnote 3; the other scanner has 5 mm."""
 VARIED: dict[str, Any] = {"scene": {"name": "varied"}}
-SIDEWALK: dict[str, Any] = {"station": {"left_m": -5.2, "clearance_m": 1.0}}
 
 SETTINGS: dict[str, Setting] = {
     "scanner on the road": Setting(seeds=SEEDS),
     "scanner on the road, new streets": Setting(first_seed=NEW_SEED),
     "varied": Setting(VARIED),
     "varied, new streets": Setting(VARIED, first_seed=NEW_SEED),
-    "varied, on the sidewalk": Setting(merge(VARIED, SIDEWALK)),
+    "varied, on the sidewalk": Setting(
+        merge(VARIED, {"station": {"left_m": -5.2, "clearance_m": 1.0}})
+    ),
     "1 mm": Setting(FINE, range_noise_m=0.001),
     "10 mm, told so": Setting({"scanner": {"noise_m": 0.01}}, range_noise_m=0.01),
     "published constants": Setting(preset="street-scan-published", seeds=SEEDS),

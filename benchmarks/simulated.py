@@ -344,7 +344,7 @@ def real_strip(number: int) -> Strip:
 
 
 def _inside(angle_rad: F64) -> Mask:
-    angle_deg = np.rad2deg(angle_rad)
+    angle_deg = np.rad2deg(angle_rad).round(6)
     return (angle_deg >= OAKLAND_DEG[0]) & (angle_deg <= OAKLAND_DEG[1])
 
 
@@ -387,9 +387,8 @@ def oakland(folder: Path) -> None:
     table(("", *columns), rows)
 
 
-def speed(folder: Path) -> None:
+def speed(_: Path) -> None:
     """Print the speed of a simulation: scene, casting, sensor, nothing written."""
-    del folder
     print("## Speed\n")
     say("""Scene, casting and sensor, nothing written, a world that was not seen before, after one
     run that is not counted.""")

@@ -90,9 +90,8 @@ def compare(took: dict[str, Took], rows: tuple[tuple[str, str, str], ...]) -> No
     )
 
 
-def in_memory(folder: Path, n_lines: int) -> None:
+def in_memory(_: Path, n_lines: int) -> None:
     """Print rates of PRC without files, beside a copy of the ranges and the plain twin."""
-    del folder
     piece = ranges_of("street", 594, scanner={"points_per_line": POINTS_PER_LINE})
     ranges = np.tile(piece, (max(1, 3 * n_lines // len(piece)), 1))  # larger than any cache
     wide = np.tile(
@@ -143,9 +142,8 @@ def in_memory(folder: Path, n_lines: int) -> None:
     )
 
 
-def static_scans(folder: Path, n_lines: int) -> None:
+def static_scans(_: Path, n_lines: int) -> None:
     """Print rates of sequential-angle on a simulated static scan."""
-    del folder
     config = load_config(preset="street-scan")
     options = {"seed": 3, "lines": min(n_lines, 1565)}
     scan = open_simulation("street-scan", load_settings("street-scan", options=options)).scan
@@ -369,9 +367,8 @@ def waits_ms(ranges: np.ndarray, preset: str, block: int) -> np.ndarray:
     return 1e3 * np.array(seconds[max(1, 300 // block) :])
 
 
-def latency(folder: Path, n_lines: int) -> None:
+def latency(_: Path, n_lines: int) -> None:
     """Print how long ``prc stream`` keeps labels."""
-    del folder
     rows = []
     for title, kind, scanner, preset, block in (
         ("urban, blocks of 99 lines, M 2154", "street", "photon-80", "prc-2019-urban", 99),
