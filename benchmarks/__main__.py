@@ -15,11 +15,8 @@ def minutes_by_module() -> dict[str, str]:
     """Return how long the benchmarks took that wrote the pages in ``figures``."""
     minutes = {}
     for path in FIGURES.glob("*.md"):
-        text = path.read_text(encoding="utf-8")
-        module = re.search(rf"{re.escape(WRITTEN_BY)}(\w+)", text)
-        took = re.search(rf"{re.escape(TOOK)}(\d+) min", text)
-        if module and took:
-            minutes[module.group(1)] = took.group(1)
+        written = rf"{re.escape(WRITTEN_BY)}(\w+).*{re.escape(TOOK)}(\d+) min"
+        minutes.update(re.findall(written, path.read_text(encoding="utf-8"), re.DOTALL))
     return minutes
 
 

@@ -39,7 +39,6 @@ BUILDING = 6
 NOISE = 7
 DIFFERING = 0.02
 """Share of single errors in the large run; the large reference has twice as many."""
-LENGTH_M = 60.0
 SCORES = ("recall", "precision", "f1")
 
 
@@ -349,7 +348,7 @@ def main() -> None:
     parser.add_argument(
         "--seed", type=int, default=7, help="of the street; 7 decided the rule of unmatched noise"
     )
-    parser.add_argument("--length", type=float, default=LENGTH_M, help="length of the street [m]")
+    parser.add_argument("--length", type=float, default=60.0, help="length of the street [m]")
     parser.add_argument(
         "--times", action="store_true", help="also time and memory; for a quiet machine"
     )

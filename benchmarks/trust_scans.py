@@ -92,7 +92,6 @@ class Source:
     """A scan, cut into windows."""
 
     name: str
-    part: Part
     make: Callable[[], Scan]
     n_lines: int
     """Lines of a window."""
@@ -151,14 +150,14 @@ _LINES = {"photon-80": 256, "focus3d-120": 144, "profiler-1mhz": 144, "sick-push
 """Lines of a window by scanner."""
 
 
-def source(spec: Simulated, part: Part, *, is_short: bool) -> Source:
+def source(spec: Simulated, *, is_short: bool) -> Source:
     """Return a simulated scan, whole or as short as a quick run needs it."""
     n_lines = _LINES[spec.scanner]
     if is_short:
         line_hz = spec.mount.get("line_hz", SCANNERS[spec.scanner].line_hz)
         speed_m_s = 1.1 if spec.kind == "forest" else 8.33
         spec = replace(spec, length_m=1.5 * n_lines * speed_m_s / line_hz)
-    return Source(spec.name, part, partial(data.simulated, spec), n_lines, spec)
+    return Source(spec.name, partial(data.simulated, spec), n_lines, spec)
 
 
 TOY_SEED = 59_000
@@ -171,14 +170,14 @@ def sources(part: Part, seed: int = 0, *, is_quick: bool = False) -> Iterator[So
     for i, spec in enumerate(data.simulations(f"trust_{part.replace('-', '_')}")):
         if not is_quick or i in _QUICK[part]:
             seed_of_scan = FIRST_SEED[part] + SEEDS_APART * seed + i
-            yield source(replace(spec, seed=seed_of_scan), part, is_short=is_quick)
+            yield source(replace(spec, seed=seed_of_scan), is_short=is_quick)
     strips = (1,) if part == "tuning" else (2, 3)
     if (DATA / "oakland").exists() and not is_quick:
         for strip in strips:
-            yield Source(f"Oakland strip {strip}", part, partial(data.oakland, strip), 256)
+            yield Source(f"Oakland strip {strip}", partial(data.oakland, strip), 256)
 
 
 def toy(name: str) -> Source:
     """Return a small scan for tests."""
     (spec,) = (spec for spec in data.simulations("trust_toys") if spec.name == name)
-    return source(replace(spec, seed=TOY_SEED), "tuning", is_short=False)
+    return source(replace(spec, seed=TOY_SEED), is_short=False)
