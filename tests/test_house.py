@@ -170,13 +170,13 @@ HEAVIEST = {
         "riddles": 42,
     },
     "tests": {
-        "tokens": 385_000,
+        "tokens": 368_000,
         "tokens_per_line": 10.5,
         "long_lines": 27,
         "packed_share": 0.015,
         "tuples": 68,
         "format_skips": 10,
-        "riddles": 125,
+        "riddles": 80,
     },
     "benchmarks": {
         "tokens": 50_000,

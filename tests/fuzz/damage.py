@@ -87,7 +87,7 @@ def word(draw: DrawFn, data: bytes) -> bytes:
     if not words:
         return data
     chosen = draw(st.sampled_from(words[: draw(st.sampled_from((12, 60, len(words))))]))
-    new = draw(st.sampled_from([*WORDS, *(found.group() for found in words[:12])]))
+    new = draw(st.sampled_from([*WORDS, *(match.group() for match in words[:12])]))
     return data[: chosen.start()] + new + data[chosen.end() :]
 
 

@@ -64,10 +64,10 @@ def place(browser: Browser, canvas: str, across: float, down: float) -> dict[str
 def drag(browser: Browser, canvas: str, *places: tuple[float, float]) -> None:
     """Press the mouse at the first place, and release it at the last."""
     for number, (across, down) in enumerate(places):
-        at = place(browser, canvas, across, down)
+        point = place(browser, canvas, across, down)
         kind = "mouseMoved" if number else "mousePressed"
-        browser.devtools("Input.dispatchMouseEvent", type=kind, button="left", buttons=1, **at)
-    browser.devtools("Input.dispatchMouseEvent", type="mouseReleased", button="left", **at)
+        browser.devtools("Input.dispatchMouseEvent", type=kind, button="left", buttons=1, **point)
+    browser.devtools("Input.dispatchMouseEvent", type="mouseReleased", button="left", **point)
 
 
 def n_painted(browser: Browser) -> int:

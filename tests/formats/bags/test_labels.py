@@ -99,11 +99,11 @@ def read_codes(path: Path) -> Any:
 
 
 def by_topic(path: Path) -> dict[str, list[tuple[int, bytes]]]:
-    found: dict[str, list[tuple[int, bytes]]] = {}
+    messages: dict[str, list[tuple[int, bytes]]] = {}
     bag = Bag(path)
     for message in bag.messages(list(bag.counts)):
-        found.setdefault(message.topic.name, []).append((message.time_ns, message.data))
-    return found
+        messages.setdefault(message.topic.name, []).append((message.time_ns, message.data))
+    return messages
 
 
 def out_folder(folder: Path) -> Path:
@@ -125,8 +125,10 @@ def test_labels_read_back_equal_and_all_else_stays(tmp_path: Path, name: str, su
     for topic in set(before) - {"/points"}:
         assert before[topic] == after[topic]
     # what is read of the scans is what was read before, and the labels are no scanner
-    one, other = (list(BagStream(path, InputConfig()).blocks()) for path in (source, output))
-    for first, second in zip(one, other, strict=True):
+    as_written, as_copied = (
+        list(BagStream(path, InputConfig()).blocks()) for path in (source, output)
+    )
+    for first, second in zip(as_written, as_copied, strict=True):
         np.testing.assert_array_equal(first.range_m, second.range_m)
         np.testing.assert_array_equal(first.records(), second.records())
         assert first.scanner == second.scanner

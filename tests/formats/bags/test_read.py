@@ -241,8 +241,8 @@ def test_the_samples_of_every_model_have_the_points_of_another_decoder(
     ranges = np.concatenate([block.range_m.ravel(), block.extra.range_m]).astype(np.float64)
     azimuths = np.concatenate([azimuth.ravel(), azimuth[block.extra.line, block.extra.column]])
     off: list[float] = []
-    for number, one in enumerate(rings):
-        mine = (ring == one) & np.isfinite(ranges)
+    for number, ring_number in enumerate(rings):
+        mine = (ring == ring_number) & np.isfinite(ranges)
         its = np.flatnonzero(nearest == number)[::20]
         # cells by their range in millimetres, then the one of the nearest azimuth
         order = np.argsort(ranges[mine])

@@ -50,14 +50,14 @@ def test_every_form_gives_the_same_values(tmp_path: Path, form: str) -> None:
     path.write_bytes(ply(made, form))
     source = opened(path)
     assert source.n_records == N
-    found = read(source, ("time", "angle", "range", "ring"))
+    values = read(source, ("time", "angle", "range", "ring"))
     for name, expected in (
         ("time", "GPS_time"),
         ("angle", "theta"),
         ("range", "range"),
         ("ring", "ring"),
     ):
-        np.testing.assert_array_equal(found[name], made[expected])
+        np.testing.assert_array_equal(values[name], made[expected])
 
 
 def test_returns_that_are_listed_again_are_not_shots(tmp_path: Path) -> None:
@@ -118,16 +118,16 @@ def test_shots_do_not_depend_on_chunks(
     names = ("return_number", "number_of_returns")
     chunks = list(opened(path).chunks(names))
     assert max(chunk.n for chunk in chunks) <= rows + 3
-    found = {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}
-    np.testing.assert_array_equal(found["return_number"], echo)
-    np.testing.assert_array_equal(found["number_of_returns"], n_echo[shot])
+    values = {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}
+    np.testing.assert_array_equal(values["return_number"], echo)
+    np.testing.assert_array_equal(values["number_of_returns"], n_echo[shot])
     assert [chunk.first_record for chunk in chunks] == np.cumsum(
         [0, *(chunk.n for chunk in chunks)]
     )[:-1].tolist()
 
 
 @pytest.mark.parametrize(
-    ("head", "told"),
+    ("head", "message"),
     [
         (
             (
@@ -175,10 +175,10 @@ def test_shots_do_not_depend_on_chunks(
         ("plx\n", "expected ply"),
     ],
 )
-def test_headers_that_lie(tmp_path: Path, head: str, told: str) -> None:
+def test_headers_that_lie(tmp_path: Path, head: str, message: str) -> None:
     path = tmp_path / "a.ply"
     path.write_bytes(head.encode() + b"\0\0\0\0\0" * ("binary_l" in head))
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         for _ in opened(path).chunks(()):
             pass
 
@@ -223,7 +223,7 @@ def pcd_columns() -> dict[str, Array]:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         ("WIDTH 40", "WIDTH 41", "WIDTH 41 x HEIGHT 13 = 533 points, but POINTS 520"),
         ("WIDTH 40\nHEIGHT 13", "WIDTH 4000\nHEIGHT 1300", "but POINTS 520"),
@@ -242,13 +242,13 @@ def test_pcd_headers_that_lie(
     data: str,
     old: str,
     new: str,
-    told: str,
+    message: str,
 ) -> None:
     path = tmp_path / "a.pcd"
     path.write_bytes(
         pcd(pcd_columns(), data, height=N_LINES).replace(old.encode(), new.encode(), 1)
     )
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         Input.of(path).records()
 
 

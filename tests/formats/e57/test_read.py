@@ -110,18 +110,20 @@ def test_chunks_change_nothing(
     chunk: int,
 ) -> None:
     points = grid_points(9, 7)
-    other = grid_points(4, 12, 2)
+    more_points = grid_points(4, 12, 2)
     fields = [reordered(e57_fields(points), order) for order in orders(points).values()]
-    scans = [Scan(item, rotation=(0.8, 0.4, 0.2, 0.4)) for item in (*fields, e57_fields(other))]
+    scans = [
+        Scan(item, rotation=(0.8, 0.4, 0.2, 0.4)) for item in (*fields, e57_fields(more_points))
+    ]
     path = write_e57(tmp_path / "a.e57", scans)
     whole = scans_of(E57Stream(path, AUTO))
     monkeypatch.setattr("prc_cli.formats.organised.scans.CHUNK_SHOTS", shots)
     monkeypatch.setattr(e57_read, "CHUNK_POINTS", chunk)
-    for block, one in zip(scans_of(E57Stream(path, AUTO)), whole, strict=True):
-        assert equal(block.range_m, one.range_m)
-        assert equal(block.xyz_m, one.xyz_m)  # type: ignore[arg-type]
-        assert equal(block.record, one.record)  # type: ignore[arg-type]
-        assert block.tally == one.tally
+    for block, undivided in zip(scans_of(E57Stream(path, AUTO)), whole, strict=True):
+        assert equal(block.range_m, undivided.range_m)
+        assert equal(block.xyz_m, undivided.xyz_m)  # type: ignore[arg-type]
+        assert equal(block.record, undivided.record)  # type: ignore[arg-type]
+        assert block.tally == undivided.tally
 
 
 def without(*names: str, **added: Array) -> dict[str, Array]:

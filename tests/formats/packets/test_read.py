@@ -142,7 +142,7 @@ def test_what_cannot_be_read_is_said_in_one_line(tmp_path: Path) -> None:
     ):
         result = runner().invoke(cli, ["info", str(path), *words])
         assert result.exit_code == 1
-        assert any(one in result.stderr for one in expected.split("|"))
+        assert any(part in result.stderr for part in expected.split("|"))
     for changes, expected in (
         ({"pixels_per_column": 5}, "beam_azimuth_angles: found list of 4, expected 5 numbers"),
         (

@@ -95,10 +95,10 @@ def cells(path: Path, cloud: Cloud) -> tuple[I64, I64, F64]:
     return line, column, range_m
 
 
-def assert_like_raw(found: tuple[I64, I64, F64], cloud: Cloud, *, share: float = 0.98) -> None:
+def assert_like_raw(measured: tuple[I64, I64, F64], cloud: Cloud, *, share: float = 0.98) -> None:
     """Ranges to millimetres, and shots of one line in one line, as far from each other as they were
     fired."""
-    line, column, range_m = found
+    line, column, range_m = measured
     has_cell = line >= 0
     assert has_cell.mean() > share
     assert np.median(np.abs(range_m - cloud.range_m)[has_cell]) < 0.005
