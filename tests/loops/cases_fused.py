@@ -20,10 +20,12 @@ from prc_cli.methods.fused.confidence import MEASURES
 from prc_cli.methods.fused.records import (
     Beams,
     FilledSlots,
+    GroundMemory,
     Neighbours,
     Sides,
     StripSums,
     WalkMemory,
+    WalkStart,
     Walls,
 )
 from prc_cli.methods.fused.thresholds import (
@@ -242,16 +244,17 @@ def walk_case(rng: Generator) -> tuple[Any, ...]:
         shots[:, 12:26] = np.sort(rng.integers(0, 9, (2, 14)), axis=0)
     sums = (shots * np.float32(-1.9)).astype(np.float32)
     sides = Sides(scene.left, scene.right)
-    known = WalkMemory(memory, age, shots, sums)
+    counts = random_counts(rng, scene)
+    known = GroundMemory(
+        WalkMemory(memory, age, shots, sums),
+        WalkStart(float(start), lost, int(rng.integers(0, 8))),
+    )
     return (
         scene.range_m,
         scene.beams,
-        random_counts(rng, scene),
+        counts,
         sides,
         known,
-        start,
-        lost,
-        int(rng.integers(0, 8)),
         keep,
         chosen,
     )

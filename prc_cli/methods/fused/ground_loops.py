@@ -6,7 +6,15 @@ import numpy as np
 
 from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_2, I32, U8, Mask, Mask_2
-from prc_cli.methods.fused.records import Beams, Neighbours, Points, Sides, WalkMemory
+from prc_cli.methods.fused.records import (
+    Beams,
+    GroundMemory,
+    Neighbours,
+    Points,
+    Sides,
+    WalkMemory,
+    WalkStart,
+)
 from prc_cli.methods.fused.thresholds import WalkThresholds
 
 BINS = 320
@@ -348,13 +356,10 @@ def walk_ground(
     beams: Beams,
     neighbours: Neighbours,
     sides: Sides,
-    memory: WalkMemory,
-    start_m: np.float32,
-    lost: int,
-    missed: int,
+    memory: GroundMemory,
     keep: int,
     thresholds: WalkThresholds,
-) -> tuple[F32_2, Mask_2, WalkMemory, float, int, int]:
+) -> tuple[F32_2, Mask_2, GroundMemory]:
     """Find the ground of consecutive lines, and the height of every shot above it.
 
     A stream may begin with a part of the scene: a tile shows distant ledges or the roof of a car
@@ -364,17 +369,18 @@ def walk_ground(
 
     ``range_m`` (lines, M) float32, metres; ``beams`` (M,) float32; ``counts`` tuple of
     (lines, M) uint8; ``sides`` (n,) int32; returns ``above_m`` (lines, M) float32, metres,
-    ``walked`` (lines, M) bool.
+    ``walked`` (lines, M) bool, and the memory.
     """
     n_lines, m = range_m.shape
     above = np.empty((n_lines, m), np.float32)
     walked = np.empty((n_lines, m), np.bool_)
     now = _empty_memory()
     kept = _empty_memory()
-    kept_start = start_m
-    kept_lost = lost
-    kept_missed = missed
-    _copy(memory, now)
+    _copy(memory.bins, now)
+    kept_start = memory.start
+    start_m = np.float32(memory.start.start_m)
+    lost = memory.start.lost
+    missed = memory.start.missed
     heights, ages, shots, sums = now
     profiles = np.empty(2 * BINS, np.float32)
     seen = np.empty(BINS, np.uint8)
@@ -390,9 +396,7 @@ def walk_ground(
     for line in range(n_lines):
         if line == keep:
             _copy(now, kept)
-            kept_start = start_m
-            kept_lost = lost
-            kept_missed = missed
+            kept_start = WalkStart(np.float64(start_m), lost, missed)
         ranges = range_m[line]
         for i in range(m):
             side[i] = ranges[i] * beams.sine[i]
@@ -447,7 +451,5 @@ def walk_ground(
             _clear(shots, sums)
     if keep >= n_lines:
         _copy(now, kept)
-        kept_start = start_m
-        kept_lost = lost
-        kept_missed = missed
-    return above, walked, kept, float(kept_start), kept_lost, kept_missed
+        kept_start = WalkStart(np.float64(start_m), lost, missed)
+    return above, walked, GroundMemory(kept, kept_start)

@@ -79,7 +79,7 @@ from prc_cli.methods.fused.confidence import (
     of_further_returns,
     true_heights,
 )
-from prc_cli.methods.fused.ground import Ground, GroundMemory, follow_ground
+from prc_cli.methods.fused.ground import Ground, follow_ground, no_memory
 from prc_cli.methods.fused.interlace import align_columns
 from prc_cli.methods.fused.neighbours import chords, near_neighbours, smooth_pairs
 from prc_cli.methods.fused.plane import (
@@ -90,7 +90,7 @@ from prc_cli.methods.fused.plane import (
     ScanPlane,
 )
 from prc_cli.methods.fused.range_noise import Noise, NoiseAlong, SensorParams
-from prc_cli.methods.fused.records import FilledSlots, Neighbours, Walls
+from prc_cli.methods.fused.records import FilledSlots, GroundMemory, Neighbours, Walls
 from prc_cli.methods.fused.spacing import (
     BESIDE_LINES,
     SPACED_LINES,
@@ -364,9 +364,7 @@ class Fused(Classifier[FusedScanner, FusedState]):
 def initial_state(scanner: FusedScanner) -> FusedState:
     """Return the state before the first block."""
     tail = np.full((SPACED_LINES, scanner.points_per_line), np.nan, np.float32)
-    return FusedState(
-        tail, Noise(), NoiseAlong(), 0, Spacing.none(), GroundMemory.none(), no_profiles()
-    )
+    return FusedState(tail, Noise(), NoiseAlong(), 0, Spacing.none(), no_memory(), no_profiles())
 
 
 def classify_block(
@@ -414,6 +412,15 @@ class DecidedBlock:
     """Shots that the walk along the ground went over; in forests shots on a stem."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class DecidedLines:
+    """Labels and reasons of the lines of a stream, and the evidence."""
+
+    labels: U8
+    reasons: U8
+    evidence: Evidence
+
+
 def _classify(
     range_m: F32,
     next_m: F32 | None,
@@ -423,23 +430,43 @@ def _classify(
     wanted: Wanted,
 ) -> DecidedBlock:
     """Label a block; see :func:`classify_block`."""
-    plane = scanner.scan_plane
     if params.environment == "forest":
-        # only the range noise depends on earlier blocks
-        forest_noise_m = turn.hand_on(
-            NOISE, lambda known: _measure_forest_noise(range_m, known, params.sensor)
-        )
-        woods = forest(range_m, scanner.plane, forest_noise_m, params.forest.limits())
-        return DecidedBlock(
-            labels=LABELS_BY_REASON[woods.reasons],
-            reasons=woods.reasons,
-            above_m=woods.above_m,
-            noise_m=np.full((1, 1), forest_noise_m),
-            evidence=None,
-            marked=woods.on_stem,
-        )
+        return _classify_forest(range_m, scanner, turn, params)
+    return _classify_street(range_m, next_m, scanner, turn, params, wanted)
+
+
+def _classify_forest(
+    range_m: F32, scanner: FusedScanner, turn: Turn, params: FusedParams
+) -> DecidedBlock:
+    """Label a block of a forest; only the range noise depends on earlier blocks."""
+    noise_m = turn.hand_on(
+        NOISE, lambda known: _measure_forest_noise(range_m, known, params.sensor)
+    )
+    woods = forest(range_m, scanner.plane, noise_m, params.forest.limits())
+    return DecidedBlock(
+        labels=LABELS_BY_REASON[woods.reasons],
+        reasons=woods.reasons,
+        above_m=woods.above_m,
+        noise_m=np.full((1, 1), noise_m),
+        evidence=None,
+        marked=woods.on_stem,
+    )
+
+
+def _classify_street(
+    range_m: F32,
+    next_m: F32 | None,
+    scanner: FusedScanner,
+    turn: Turn,
+    params: FusedParams,
+    wanted: Wanted,
+) -> DecidedBlock:
+    """Label a block of a street, by the stages of design/fused.md in their order."""
+    plane = scanner.scan_plane
     n_lines = len(range_m)
-    # a copy, so that the block is not kept in memory
+
+    # the lines around the block, its range noise, and the limits of the place; a copy of the last
+    # lines, so that the block is not kept in memory
     tail = turn.hand_on(
         TAIL,
         lambda old: (old, np.concatenate([old, range_m[-SPACED_LINES:]])[-SPACED_LINES:].copy()),
@@ -450,40 +477,45 @@ def _classify(
         NOISE_ALONG, lambda known: _measure_noise(measured, line, plane, known, params.sensor)
     )
     limits = limits_of_place(scanner.limits, measured, plane)
+
+    # interlace
     wide = align_columns(measured, plane, noise_m, scanner.limits)
+
+    # spacing
     strides = _strides(wide, line, n_lines, plane, noise_m, turn, limits)
     apart = lines_apart(strides)
+
+    # near neighbours, smoothness, directions
     streams = streams_of(wide, strides, plane, noise_m, limits)
+
+    # ground
     grounds = turn.hand_on(
         MEMORY, lambda memory: _follow_streams(streams, apart, n_lines, plane, memory, limits)
     )
-    evidences = []
-    labels_of_streams = []
-    reasons_of_streams = []
-    for stream, ground in zip(streams, grounds.parts, strict=True):
-        evidence_of_stream = evidence_of(
-            stream.neighbourhoods, stream.wide_m, ground.above_m, plane, limits
-        )
-        stream_labels, stream_reasons = _decide(
-            stream, ground, evidence_of_stream, plane, limits, with_reasons=wanted.reasons
-        )
-        evidences.append(evidence_of_stream)
-        labels_of_streams.append(stream_labels)
-        reasons_of_streams.append(stream_reasons)
-    labels = _merge_lines(labels_of_streams, streams, apart)
-    reasons = _merge_lines(reasons_of_streams, streams, apart) if wanted.reasons else None
+
+    # strips, texture, classes, votes, leaves amid noise, curbs
+    decided = [
+        _decide_stream(stream, ground, plane, limits, with_reasons=wanted.reasons)
+        for stream, ground in zip(streams, grounds.parts, strict=True)
+    ]
+    labels = _merge_lines([lines.labels for lines in decided], streams, apart)
+    reasons = None
+    if wanted.reasons:
+        reasons = _merge_lines([lines.reasons for lines in decided], streams, apart)
     evidence = None
     has_profiles = has_car_profiles(plane, limits)
     if wanted.confidence or wanted.measures or has_profiles:
+        evidences = [lines.evidence for lines in decided]
         evidence = _merge_evidence(evidences, grounds.above_m, streams, apart)
+
+    # profiles
     if evidence is not None and has_profiles:
         block = wide[SPACED_LINES : len(wide) - SPACED_LINES]
-        before = labels
+        before = labels[:n_lines]
         labels = _with_cars(labels, block, n_lines, grounds, evidence, turn, plane, limits)
         if reasons is not None:
-            reasons = np.where(
-                labels == before[:n_lines], reasons[:n_lines], np.uint8(Reason.PROFILE)
-            )
+            reasons = _where_changed(before, labels, reasons[:n_lines], Reason.PROFILE)
+
     lines = slice(grounds.margin, grounds.margin + n_lines)
     return DecidedBlock(
         labels=labels,
@@ -806,38 +838,51 @@ def evidence_of(
     ``wide_m`` (lines + 2 n, M) float32; ``above_m`` (lines, M) float32.
     """
     neighbours = neighbourhoods.neighbours
-    texture = texture_of(neighbourhoods.range_m, neighbours, plane, limits)
     strips = measure_strips(wide_m, above_m, neighbours, plane, limits)
+    texture = texture_of(neighbourhoods.range_m, neighbours, plane, limits)
     return Evidence(neighbours, above_m, texture, strips, AROUND_LINES - INNER_LINES)
 
 
-def _decide(
-    stream: Stream,
-    ground: Ground,
-    evidence: Evidence,
-    plane: ScanPlane,
-    limits: Limits,
-    *,
-    with_reasons: bool,
-) -> tuple[U8, U8]:
-    """Return the label and the reason of every shot of a stream; no reasons unless wanted."""
+def _decide_stream(
+    stream: Stream, ground: Ground, plane: ScanPlane, limits: Limits, *, with_reasons: bool
+) -> DecidedLines:
+    """Label the shots of a stream; the reasons are the labels unless wanted."""
     range_m = stream.neighbourhoods.range_m
+    above_m = ground.above_m
     neighbours = stream.neighbourhoods.neighbours
-    texture = evidence.texture
+
+    # strips, texture
+    evidence = evidence_of(stream.neighbourhoods, stream.wide_m, above_m, plane, limits)
+
+    # classes
+    strips = evidence.strips
     rules = decide(
-        stream.wide_m, neighbours, ground, texture, evidence.strips, plane, limits.decision
+        stream.wide_m, neighbours, ground, evidence.texture, strips, plane, limits.decision
     )
     decided = np.take(LABELS_BY_REASON, rules)
+
+    # votes
     voted = vote(decided, range_m[WIDE_LINES:-WIDE_LINES], plane, limits.votes)
-    late = find_late_leaves(decided, voted, range_m, ground.above_m, plane, limits.late_leaves)
+
+    # leaves amid noise
+    late = find_late_leaves(decided, voted, range_m, above_m, plane, limits.late_leaves)
+
+    # curbs
     inner = slice(INNER_LINES + 1, -INNER_LINES - 1)
-    labels = find_curbs(late, range_m[inner], ground.above_m[inner], plane, limits.curbs)
+    labels = find_curbs(late, range_m[inner], above_m[inner], plane, limits.curbs)
+
     if not with_reasons:
-        return labels, labels
+        return DecidedLines(labels, labels, evidence)
     lines = slice(VOTE_LINES, -VOTE_LINES)
-    reasons = np.where(voted == decided[lines], rules[lines], voted + np.uint8(VOTED))
-    reasons = np.where(late == voted, reasons, np.uint8(Reason.LEAF))
-    return labels, np.where(labels == late, reasons, np.uint8(Reason.CURB_FACE))
+    reasons = _where_changed(decided[lines], voted, rules[lines], voted + np.uint8(VOTED))
+    reasons = _where_changed(voted, late, reasons, Reason.LEAF)
+    reasons = _where_changed(late, labels, reasons, Reason.CURB_FACE)
+    return DecidedLines(labels, reasons, evidence)
+
+
+def _where_changed(before: U8, after: U8, reasons: U8, reason: U8 | Reason) -> U8:
+    """Return the reasons after a stage: another one where it changed the label."""
+    return np.where(before == after, reasons, np.asarray(reason, np.uint8))
 
 
 def _with_cars(

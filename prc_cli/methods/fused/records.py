@@ -121,6 +121,27 @@ class WalkMemory(NamedTuple):
     """(2, DEPTHS) float32, sums of their heights [m]."""
 
 
+class WalkStart(NamedTuple):
+    """Where a walk along the ground starts if its side is not known."""
+
+    start_m: float
+    """Height of the nearest known bins of earlier lines [m].
+
+    Where the ground was hidden for long (by a lorry, or a gap in the stream), a walk from the
+    scanner's height would not reach it in small steps."""
+    lost: int
+    """Lines with level shots since any bin was known; below 0 = none ever was."""
+    missed: int
+    """Lines in a row in which level shots near the scanner lie below the known ground."""
+
+
+class GroundMemory(NamedTuple):
+    """Ground from earlier lines."""
+
+    bins: WalkMemory
+    start: WalkStart
+
+
 class Points(NamedTuple):
     """Points of a line in the scan plane, (M,) float32."""
 

@@ -157,7 +157,7 @@ def test_a_step_that_is_off_is_missed(
 
 
 @pytest.mark.parametrize(
-    "step", ["_measure_noise", "measure_neighbours", "follow_ground", "_decide"]
+    "step", ["_measure_noise", "measure_neighbours", "follow_ground", "_decide_stream"]
 )
 def test_a_block_that_fails_lets_the_others_end(monkeypatch: pytest.MonkeyPatch, step: str) -> None:
     """Before, in, between and after the steps that hand on.
