@@ -115,6 +115,17 @@ def test_a_lamp_post_is_a_pole(street: tuple[F32, U8]) -> None:
     assert (classified(ranges)[high] == Label.POLE).mean() > 0.7
 
 
+def test_a_post_goes_on_beyond_single_shots_that_miss_it(street: tuple[F32, U8]) -> None:
+    ranges = street[0].copy()
+    post = surface(-3.0, 0.5, 5.0)
+    hit = np.flatnonzero(np.isfinite(post))
+    ranges[20, hit] = post[hit].astype(np.float32)
+    ranges[20, hit[5::6]] = np.nan
+    seen = np.delete(hit, slice(5, None, 6))
+    assert (classified(ranges, columns={"reach": 2})[20, seen] == Label.POLE).mean() > 0.7
+    assert not (classified(ranges, columns={"reach": 1})[20, seen] == Label.POLE).any()
+
+
 def test_a_person_is_no_thing_of_the_street(street: tuple[F32, U8]) -> None:
     ranges = street[0].copy()
     hit = np.zeros(street[0].shape, np.bool_)
