@@ -5,13 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterator
 from importlib import import_module
 from types import ModuleType
-from typing import Any, get_type_hints
+from typing import Any
 
 import numpy as np
 
+from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.doctor import every_loop
 
 LOOPS = {loop.name: loop for loop in every_loop()}
+
+
+def has_twin(name: str) -> bool:
+    """Whether a paper describes a loop."""
+    try:
+        LOOPS[name].reference()
+    except ConfigError:
+        return False
+    return True
 
 
 def twin_module(name: str) -> ModuleType:
@@ -47,9 +57,3 @@ def assert_equal_bits(output: Any, expected: Any, tolerance: float = 0.0) -> Non
             np.testing.assert_allclose(array, expected_array, rtol=0, atol=tolerance)
         else:
             np.testing.assert_array_equal(array, expected_array)
-
-
-def typed(kind: type[Any], **values: Any) -> Any:
-    """Return thresholds of a class, each converted to the type of its field."""
-    types = get_type_hints(kind)
-    return kind(**{name: types[name](value) for name, value in values.items()})
