@@ -93,7 +93,7 @@ def spoilt(block: ScanBlock, rng: Generator) -> ScanBlock:
     """Return ranges on a grid, some of them missing or anywhere."""
     range_m = np.maximum(np.round(block.range_m / GRID_M) * GRID_M, GRID_M)
     stray = rng.random(range_m.shape) < 0.05
-    range_m[stray] = rng.choice([1.5, 4.0, 30.0, np.nan], np.count_nonzero(stray))
+    range_m[stray] = rng.choice([1.5, 4.0, 30.0, 350.0, np.nan], np.count_nonzero(stray))
     xyz_m = block.xyz_m
     if xyz_m is not None:
         xyz_m = (xyz_m * (range_m / block.range_m)[..., None]).astype(np.float32)
