@@ -204,7 +204,7 @@ CASES = [
     (
         "evaluate codes.npy codes.npy --dimension a --dimension b",
         2,
-        "--dimension: found two values of predicted, expected one",
+        "--dimension: found a and b for one side, expected one",
     ),
     ("explain drive.npz --at here", 2, "found 'here', expected LINE,COLUMN, counted from 0"),
     ("classify drive.npz o.npy --only x:y", 2, "in the stream's own seconds"),

@@ -197,7 +197,7 @@ def test_loop_equals_its_twin_in_many_scans(name: str, seed: int) -> None:
 def compare_recorded(name: str, seed: int) -> None:
     cases = recorded.cases(name, seed)[:: EVERY.get(name, 1)]
     outputs = {repr(compare(name, case)) for case in cases}
-    assert len(outputs) > 5, "the scans show one side"
+    assert len(outputs) > 2, "the scans show one side"
 
 
 def compare_random(name: str, seed: int, n_cases: int) -> None:
