@@ -234,7 +234,7 @@ def drive(folder: Path, length: float, seed: int, *, times: bool) -> None:
     scans, *_ = prc("evaluate", *named, truth, *near, "--mapping", "street_scan")
     as_scan, *_ = prc(
         "evaluate", fused, truth, *near, "--mapping", "street_scan", *third,
-        folder / "surfaces.toml",
+        f"third={folder / 'surfaces.toml'}",
     )  # fmt: skip
     tile = max(truth.iterdir(), key=lambda path: path.stat().st_size)
     used["transfer to the largest tile"] = prc(

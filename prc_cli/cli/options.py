@@ -469,10 +469,11 @@ def by_side(texts: Iterable[str], flag: str, side: str, *others: str) -> dict[st
         name, equals, value = text.partition("=")
         is_named = bool(equals) and name in others
         key = name if is_named else side
+        value = value if is_named else text
         if key in values:
-            problem = f"found two values of {key}, expected one"
+            problem = f"found {values[key]} and {value} for one side, expected one"
             raise ConfigError(flag, problem, f"for another side: {others[0]}=VALUE")
-        values[key] = value if is_named else text
+        values[key] = value
     return values
 
 
