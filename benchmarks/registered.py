@@ -202,7 +202,9 @@ def row_of(name: str, cloud: Cloud, index: I64, folder: Path) -> list[object]:
 def verdict(done: Done, lost: float) -> str:
     """Return right (at most .02 lost), doubted, refused, or silently wrong."""
     if done.code not in (0, 4):
-        return f"refused: {', '.join(sorted(doubts_of(done))) or done.stderr[:60].strip()}"
+        return (
+            f"refused: {', '.join(sorted(doubts_of(done))) or done.stderr.split(': ', 2)[-1][:60]}"
+        )
     doubts = ", ".join(sorted(doubts_of(done)))
     right = "right" if lost <= 0.02 else "wrong"
     return f"{right}, doubted: {doubts}" if doubts else right if right == "right" else "SILENT"

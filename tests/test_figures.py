@@ -9,19 +9,7 @@ from packaging.version import Version
 from benchmarks.pages import FIGURES, ROOT, measured
 from prc_cli.core.version import __version__
 
-TO_BE_MADE_ANEW = frozenset(
-    (
-        "confidence",
-        "contest",
-        "fused",
-        "odometry",
-        "real_scans",
-        "rings",
-        "simulation",
-        "speed",
-        "trust",
-    )
-)
+TO_BE_MADE_ANEW = frozenset(("speed",))
 """Pages that are older than the labels. None may be left at a release."""
 
 
