@@ -767,6 +767,6 @@ def json_schema() -> dict[str, Any]:
     schema["title"] = "prc configuration"
     preset = {"type": "string", "enum": list(PRESETS), "description": "parameters to start from"}
     schema["properties"] = {"preset": preset, **schema["properties"]}
-    for name, model in (("batch", BatchParams), ("render", RenderParams)):
-        schema["properties"][name] = model.model_json_schema(by_alias=True)
+    for name, params in CommandTables():
+        schema["properties"][name] = params.model_json_schema(by_alias=True)
     return schema
