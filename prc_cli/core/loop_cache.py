@@ -7,6 +7,7 @@ are compiled in memory, so that no run stops.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import sys
 import tempfile
@@ -35,7 +36,13 @@ SOURCES = (
 
 @cache
 def loops_folder() -> Path | None:
-    """Return the folder for loops of these sources, numba, NumPy and processor; None = nowhere.
+    """Return the folder for loops of these sources, numba, NumPy and processor; None = nowhere."""
+    folder = writable_cache()
+    return None if folder is None else folder / _name_of_loops()
+
+
+def _name_of_loops() -> str:
+    """Return the name of the folder for loops of these sources, numba, NumPy and processor.
 
     Numba looks at the size and time of a loop's own file alone, and an upgrade may keep both.
     """
@@ -43,9 +50,6 @@ def loops_folder() -> Path | None:
     import numba
     import numpy as np
 
-    folder = writable_cache()
-    if folder is None:
-        return None
     digest = sha256(str(_PACKAGE).encode())
     for path in sorted(path for pattern in SOURCES for path in _PACKAGE.glob(pattern)):
         digest.update(path.read_bytes())
@@ -55,7 +59,7 @@ def loops_folder() -> Path | None:
         llvmlite.binding.get_host_cpu_features().flatten(),
     )
     digest.update(repr((versions, processor)).encode())
-    return folder / digest.hexdigest()[:16]
+    return digest.hexdigest()[:16]
 
 
 @cache
@@ -89,7 +93,7 @@ def writable_cache() -> Path | None:
 def open_to_others(folder: Path) -> str:
     """Return why others may change what lies in a folder, or exchange one above it.
 
-    Empty if they may not.
+    Empty if they may not. Loops of other versions, which are not run, are not looked at one by one.
     """
     try:
         if why := who_may_change(folder):
@@ -97,7 +101,7 @@ def open_to_others(folder: Path) -> str:
         for above in folder.parents:
             if why := who_may_change(above, may_add=True):
                 return f"{above}: {why}"
-        for path in folder.rglob("*"):
+        for path in itertools.chain(folder.iterdir(), (folder / _name_of_loops()).rglob("*")):
             # another process, which compiles, may have renamed it since
             with contextlib.suppress(FileNotFoundError):
                 if why := who_may_change(path):

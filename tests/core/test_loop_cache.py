@@ -220,11 +220,18 @@ def test_what_somebody_else_left_in_it_is_not_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "cache"
-    (folder / "prc").mkdir(parents=True)
-    os.chown(folder / "prc", 65534, 65534)
+    folder.mkdir()
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder))
-    with pytest.raises(PrcError, match="prc: it belongs to user 65534"):
-        cache.writable_cache()
+    loops = cache.loops_folder()
+    assert loops is not None
+    loop = loops / "support" / "count.nbc"
+    loop.parent.mkdir(parents=True)
+    loop.touch()
+    for path in (loop, loops):
+        os.chown(path, 65534, 65534)
+        cache.writable_cache.cache_clear()
+        with pytest.raises(PrcError, match=f"{path.name}: it belongs to user 65534"):
+            cache.writable_cache()
     monkeypatch.delenv("NUMBA_CACHE_DIR")
     cache.writable_cache.cache_clear()
     monkeypatch.setattr(cache, "cache_folder", lambda: folder.parent)
