@@ -233,6 +233,104 @@ CASES = [
         1,
         "in LASzip's compatibility mode",
     ),
+    ("calibrate drive.npz -o curves.png", 2, "expected one of: .toml .svg"),
+    (
+        "classify drive.npz o.npy --preset street-scan --method prc",
+        2,
+        "is for --method sequential-angle",
+    ),
+    (
+        "classify drive.npz o.npy --preset prc-2019-urban --method sequential-angle",
+        2,
+        "prc-2019-urban is for --method prc",
+    ),
+    ("classify drive.npz o.npy --set sequential_angle.curb.min_lines=201", 2, "equal to 200"),
+    ("classify drive.npz o.npy --set sequential_angle.curb.max_lines=2", 2, "max_lines = 200"),
+    ("classify drive.npz o.npy --set sequential_angle.ground.bridge=4", 2, "it went in 2.0"),
+    (
+        "evaluate codes.npy table.csv -o a.pdf",
+        2,
+        "a.pdf: found the suffix '.pdf', expected one of: .json",
+    ),
+    ("evaluate codes.npy table.csv -o none/a.md", 1, "none: output folder does not exist"),
+    ("evaluate codes.npy table.csv -o a.md -o a.md", 2, "a.md: found one output twice"),
+    (
+        "evaluate codes.npy table.csv -o table.csv --overwrite",
+        2,
+        "table.csv: the output is the input",
+    ),
+    (
+        "evaluate codes.npy table.csv --by range:5,3",
+        2,
+        "expected increasing ranges in metres, such as 5,10,20,40",
+    ),
+    ("evaluate codes.npy table.csv --by range:5,,8", 2, "--by range: found '5,,8'"),
+    ("evaluate codes.npy table.csv --by range:-5,8", 2, "--by range: found '-5,8'"),
+    ("evaluate codes.npy table.csv --by range:5,nan", 2, "--by range: found '5,nan'"),
+    ("evaluate codes.npy table.csv --by lines:0", 2, "--by: found 'lines:0'"),
+    ("evaluate codes.npy table.csv --min-matched 1.5", 2, "--min-matched"),
+    (
+        "evaluate codes.npy table.csv --fail-under recall.road=1 -o a.md",
+        2,
+        "score: found class 'road'",
+    ),
+    (
+        "evaluate codes.npy table.csv --fail-under recall.noise=1 --mapping oakland",
+        2,
+        "which the mapping does not have on both sides",
+    ),
+    ("evaluate codes.npy table.csv --intervals", 1, "give -M, or compare more lines"),
+    ("evaluate codes.npy table.csv --match magic", 2, "magic"),
+    ("evaluate codes.npy table.csv --match nearest --points reference=none.laz", 1, "none.laz"),
+    (
+        "objects drive.bin -M 180 --preset prc-2019-urban",
+        2,
+        "which tells none of: stem, pole, car, curb",
+    ),
+    ("objects drive.bin -M 10 --preset fused", 1, "no vertical direction known"),
+    (
+        "objects drive.bin -M 180 --preset fused -o o.txt",
+        2,
+        "expected one of .csv, .geojson, .parquet",
+    ),
+    ("objects drive.bin -M 180 --preset fused -o drive.csv", 2, "exists already"),
+    ("render drive.npz a.png -q --steps coarse", 2, "possible here: range, intensity, classes"),
+    ("render drive.npz a.png -q --steps top", 1, "no coordinates for a cloud"),
+    ("render drive.npz a.png -q --steps top --only 0:9", 2, "--only: belongs to lines and columns"),
+    ("render drive.npz a.png -q --steps top,classes", 2, "expected top by itself"),
+    (
+        "render drive.npz a.png -q --steps figure1 --set method=fused",
+        2,
+        "--steps figure1: belongs to prc",
+    ),
+    ("render drive.npz a.png -q --only 9-12", 2, "--only: found '9-12', expected A:B"),
+    ("render drive.npz a.png -q --only 500:600", 2, "found 500:600, expected A:B within 0:80"),
+    ("render drive.npz a.png -q --labels codes.npy", 1, "found 9 labels, expected 14,400"),
+    ("render drive.npz a.png -q --labels none.npy", 1, "none.npy: no such file"),
+    (
+        "render drive.npz a.png -q --mapping nothing",
+        2,
+        "class mapping: found 'nothing', expected a .toml",
+    ),
+    ("render drive.npz a.jpg", 2, "expected .png; for a page to look around in: OUT.html"),
+    ("render drive.npz drive.npz", 2, "the output is the input itself"),
+    ("render drive.npz", 2, "prc render needs IN OUT"),
+    ("render drive.npz a.html --steps classes", 2, "found a page to write"),
+    ("render drive.npz old.png", 2, "exists already"),
+    ("simulate street", 2, "prc simulate street needs OUT"),
+    ("simulate street a.xyz", 2, "found suffix '.xyz', expected one of .bin"),
+    ("simulate street drive.npz", 2, "exists already"),
+    ("simulate street none/a.npz", 1, "output folder does not exist"),
+    ("simulate street a.npz --trajectory w.txt", 2, ".csv or .sbet or .out"),
+    ("simulate forest a.npz --stems s.txt", 2, "found suffix '.txt', expected .csv"),
+    ("simulate street a.npz --length 5 --lines 3", 2, "--length and --lines contradict"),
+    ("simulate street a.npz --scanner scanstation2", 2, "choose one of: photon-80"),
+    ("simulate street a.npz --set scene.tree=1", 2, "did you mean 'scene.trees'?"),
+    ("simulate street a.npz --set scene.trees=9", 2, "see `prc simulate parameters street`"),
+    ("simulate meadow a.npz", 2, "No such command 'meadow'"),
+    ("transfer codes.npy drive.las o.las --match space", 2, "--match: found 'space'"),
+    ("transfer codes.npy drive.las o.las --tolerance -1", 2, "--tolerance"),
+    ("transfer codes.npy drive.las o.las", 1, "--points RAW"),
 ]
 
 
@@ -250,6 +348,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_csv(folder / "drive.csv", street(80))
     write_raw(folder / "drive.bin", street(80))
     np.save(folder / "codes.npy", np.full(9, 2, np.uint8))
+    (folder / "table.csv").write_text("class\n" + "2\n" * 9)
+    (folder / "old.png").write_bytes(b"old")
     cloud = pcd({name: np.ones(4, np.float32) for name in ("x", "y", "z")}, viewpoint="0 0 0")
     (folder / "view.pcd").write_bytes(cloud)
     (folder / "quote.toml").write_text(LAYOUT.format("delimiter = '\"'\n", "f4"))

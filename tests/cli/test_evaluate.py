@@ -40,60 +40,6 @@ def save(
     return paths
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "message"),
-    [
-        (
-            ["--output", "report.pdf"],
-            2,
-            "report.pdf: found the suffix '.pdf', expected one of: .json .csv .md .html",
-        ),
-        (["--output", "none/report.md"], 1, "none: output folder does not exist"),
-        (["--output", "r.md", "--output", "r.md"], 2, "r.md: found one output twice"),
-        (
-            ["--output", "reference/a.csv", "--overwrite"],
-            2,
-            "reference/a.csv: the output is the input itself",
-        ),
-        (
-            ["--by", "range:5,3"],
-            2,
-            "--by range: found '5,3', expected increasing ranges in metres, such as 5,10,20,40",
-        ),
-        (["--by", "range:5,,8"], 2, "--by range: found '5,,8'"),
-        (["--by", "range:-5,8"], 2, "--by range: found '-5,8'"),
-        (["--by", "range:5,nan"], 2, "--by range: found '5,nan'"),
-        (["--by", "lines:0"], 2, "--by: found 'lines:0'"),
-        (["--min-matched", "1.5"], 2, "--min-matched"),
-        (["--fail-under", "recall.road=1", "--output", "r.html"], 2, "score: found class 'road'"),
-        (
-            ["--fail-under", "recall.noise=1", "--mapping", "oakland"],
-            2,
-            "which the mapping does not have on both sides",
-        ),
-        (["--intervals"], 1, "give -M, or compare more lines"),
-        (["--match", "magic"], 2, "magic"),
-        (["--points", "reference=none.laz", "--match", "nearest"], 1, "none.laz"),
-    ],
-)
-def test_refusals_are_one_line_and_leave_nothing(
-    prc: Prc,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    arguments: list[str],
-    code: int,
-    message: str,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    save(tmp_path, "a", [2, 6], [2, 6])
-    result = prc("run/a.npy reference/a.csv", *arguments)
-    assert result[0] == code
-    assert result[1] == ""
-    assert message in result[2]
-    assert result[2].count("\n") == 1
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["reference", "run"]
-
-
 def record(path: Path, method: str, **tables: object) -> None:
     """Put the run record of a method beside a predicted file."""
     made = {"program": "prc-cli", "config": {"method": method, **tables}}

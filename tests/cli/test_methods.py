@@ -13,11 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.types import F32
+from prc_cli.core.classes import ClassCodes
 from tests.cli.conftest import Prc
 from tests.formats.organised_files import Scan, e57_fields, ptx_scan, write_e57, write_text
-from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.simulated import static_arrays
 
 Array = np.ndarray
@@ -151,83 +149,17 @@ def test_a_scan_of_nothing_does_no_harm_to_the_others(
     assert "scan 1: no" in " ".join(result.out.split())
 
 
-@pytest.mark.parametrize(
-    ("options", "code", "words"),
-    [
-        (
-            ("--preset", "street-scan", "--method", "prc"),
-            2,
-            "--preset street-scan is for --method sequential-angle",
-        ),
-        (
-            ("--preset", "prc-2019-urban", "--method", "sequential-angle"),
-            2,
-            "--preset prc-2019-urban is for --method prc",
-        ),
-        (
-            ("--preset", "street-scan", "--set", "sequential_angle.curb.min_lines=201"),
-            2,
-            "equal to 200",
-        ),
-        (
-            ("--preset", "street-scan", "--set", "sequential_angle.curb.max_lines=2"),
-            2,
-            "max_lines = 200",
-        ),
-        (
-            ("--preset", "street-scan", "--set", "sequential_angle.ground.bridge=4"),
-            2,
-            "it went in 2.0",
-        ),
-    ],
-)
-def test_what_contradicts_itself_is_refused(
-    prc: Prc,
-    tmp_path: Path,
-    options: tuple[str, ...],
-    code: int,
-    words: str,
-) -> None:
-    result = prc(f"classify {npz(tmp_path)} {tmp_path}/labels.npy", *options)
-    assert (result.code, result.out) == (code, "")
-    assert words in result.err
-
-
-M = len(BEAM)
-
-
-@pytest.fixture(scope="module")
-def ranges() -> F32:
-    return street_lines(70)[0]
-
-
 @pytest.mark.data
 def test_cars_of_a_real_street(prc: Prc, real_data: Path, tmp_path: Path) -> None:
     source = real_data / "oakland" / "oakland_1.csv.gz"
     out = tmp_path / "labels.npy"
     result = prc(f"classify {source} {out} --preset fused --set input.nadir=0")
     assert result.code == 0, result.err
-    gates = [word for gate in ("f1.ground=0.99", "f1.car=0.6") for word in ("--fail-under", gate)]
+    gates = [word for gate in ("f1.ground=0.99", "f1.car=0.85") for word in ("--fail-under", gate)]
     result = prc(f"evaluate {out} {source} --mapping street_oakland", *gates)
     assert result.code == 0, result.out + result.err
     # the mappings of the papers fold the codes back
     assert prc(f"evaluate {out} {source} --mapping oakland").code == 0
-
-
-@pytest.mark.slow
-@pytest.mark.data
-def test_parked_cars_of_oakland_are_found(prc: Prc, real_data: Path, tmp_path: Path) -> None:
-    lookup = ClassCodes().lookup()
-    for strip, least in ((1, 0.75), (2, 0.8)):
-        scan = real_data / "oakland" / f"oakland_{strip}.csv.gz"
-        output = tmp_path / f"{strip}.npy"
-        result = prc(f"classify {scan} {output} --preset fused")
-        assert result.code in (0, 4), result.err
-        rows = np.genfromtxt(scan, delimiter=",", names=True)
-        cars = np.isin(rows["label"], (1500, 1501))
-        is_car = np.load(output).ravel() == lookup[Label.CAR]
-        assert is_car[cars].mean() > least
-        assert cars[is_car].mean() > 0.9
 
 
 @pytest.mark.parametrize(

@@ -118,27 +118,6 @@ def test_inputs_without_coordinates_have_none(prc: Prc, tmp_path: Path) -> None:
     assert all(feature["geometry"] is None for feature in features)
 
 
-def test_refusals_are_one_line(prc: Prc, tmp_path: Path) -> None:
-    street_lines(150)[0].tofile(tmp_path / "s.bin")
-    m = ("-M", len(BEAM))
-    for arguments, words in (
-        ((*m, "--preset", "prc-2019-urban"), "which tells none of: stem, pole, car, curb"),
-        (("-M", 10, "--preset", "fused"), "no vertical direction known"),
-        (
-            (*m, "--preset", "fused", "-o", tmp_path / "o.txt"),
-            "expected one of .csv, .geojson, .parquet",
-        ),
-    ):
-        result = prc(f"objects {tmp_path}/s.bin", *arguments)
-        assert result.code in (1, 2)
-        assert words in result.err.splitlines()[-1]
-    assert not list(tmp_path.glob("o.*"))
-    (tmp_path / "o.csv").write_text("mine")
-    result = prc(f"objects {tmp_path}/s.bin -o {tmp_path}/o.csv --preset fused-forest")
-    assert (result.code, "exists already" in result.err) == (2, True)
-    assert (tmp_path / "o.csv").read_text() == "mine"
-
-
 @pytest.mark.data
 def test_a_real_park_has_stems(prc: Prc, real_data: Path) -> None:
     source = real_data / "forest" / "tls_park.npz"

@@ -39,15 +39,19 @@ def test_every_digest_has_cases() -> None:
     assert sorted(digests.kept()) == digests.NAMES
 
 
-def test_a_changed_case_is_named() -> None:
+@pytest.mark.parametrize(
+    ("arguments", "outputs", "sums", "changed"),
+    [
+        ("0a0b0c", "0102ff", [1.0, 2.0, 3.0], [2]),  # a label
+        ("0a0b0c", "010203", [1.0, 2.01, 3.0], [1]),  # a height
+        ("0a0b0c", "010203", [1.0, 2.00001, 3.0], []),  # its last digit
+        ("ff0b0c", "ff0203", [9.0, 2.0, 3.0], []),  # a sine of another machine
+        ("ffff0c", "010203", [1.0, 2.0, 3.0], [0, 1]),  # other cases
+    ],
+)
+def test_a_changed_case_is_named(
+    arguments: str, outputs: str, sums: list[float], changed: list[int]
+) -> None:
     before = digests.Digests("0a0b0c", "010203", [1.0, 2.0, 3.0])
-    label = digests.Digests("0a0b0c", "0102ff", [1.0, 2.0, 3.0])
-    height = digests.Digests("0a0b0c", "010203", [1.0, 2.01, 3.0])
-    last_digit = digests.Digests("0a0b0c", "010203", [1.0, 2.00001, 3.0])
-    other_sine = digests.Digests("ff0b0c", "ff0203", [9.0, 2.0, 3.0])
-    other_cases = digests.Digests("ffff0c", "010203", [1.0, 2.0, 3.0])
-    assert digests.changed_cases(before, label) == [2]
-    assert digests.changed_cases(before, height) == [1]
-    assert digests.changed_cases(before, last_digit) == []
-    assert digests.changed_cases(before, other_sine) == []
-    assert digests.changed_cases(before, other_cases) == [0, 1]
+    now = digests.Digests(arguments, outputs, sums)
+    assert digests.changed_cases(before, now) == changed

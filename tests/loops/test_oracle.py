@@ -9,8 +9,7 @@ import ast
 import inspect
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -29,6 +28,7 @@ from prc_cli.reference.prc import stages as oracle
 from tests import patience
 from tests.loops import recorded
 from tests.loops.twins import LOOPS, assert_equal_bits, has_twin, twin, twin_module
+from tests.methods.prc import paper
 
 SHAPES = [(1, 1), (1, 2), (2, 1), (7, 1), (1, 9), (3, 2), (4, 3), (5, 5), (2, 17), (9, 40)]
 
@@ -304,81 +304,14 @@ def test_an_engine_holds_in_its_context_and_in_its_thread(
     assert not dilate(image, 1).any()
 
 
-ROOT = Path(__file__).resolve().parents[2]
-TWINS = sorted([*(ROOT / "prc_cli/reference").rglob("*.py"), ROOT / "tests/methods/prc/paper.py"])
-ALLOWED = (
-    "prc_cli.core",
-    "prc_cli.reference",
-    "numpy",
-    "scipy",
-    "skimage",
-)
-"""Beside the standard library and thresholds. ``prc_cli.core`` imports no loop either.
-
-Import-linter sees to it.
-"""
-
-
-THRESHOLDS = "prc_cli.methods.sequential_angle.thresholds."
-
-
-def imported(path: Path) -> Iterator[str]:
-    """Full names of what a file imports, modules or things within them."""
-    package = path.relative_to(ROOT).parent.parts
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            above = package[: len(package) + 1 - node.level] if node.level else ()
-            yield from (
-                ".".join([*above, *filter(None, [node.module]), alias.name]) for alias in node.names
-            )
-
-
-def is_allowed(name: str) -> bool:
-    if name.startswith("prc_cli.core.loops"):
-        return False
-    within = name.startswith(THRESHOLDS) or any(
-        name == package or name.startswith(package + ".") for package in ALLOWED
-    )
-    top = name.partition(".")[0]
-    return (
-        within
-        or name.startswith(THRESHOLDS)
-        or (top in sys.stdlib_module_names and top not in ("importlib", "runpy"))
-    )
-
-
-@pytest.mark.parametrize("path", TWINS, ids=lambda path: str(path.relative_to(ROOT)))
-def test_a_twin_imports_neither_loop_nor_stage(path: Path) -> None:
-    assert not [name for name in imported(path) if not is_allowed(name)]
-    assert "__import__" not in path.read_text(encoding="utf-8")
-
-
-def test_the_twin_of_every_loop_is_looked_at() -> None:
-    assert {Path(str(twin_module(name).__file__)) for name in OF_PAPERS} <= set(TWINS)
-
-
-@pytest.mark.parametrize(
-    ("line", "name"),
-    [
-        ("from prc_cli.core import loops", "prc_cli.core.loops"),
-        ("from ...methods.prc import support_loops", "prc_cli.methods.prc.support_loops"),
-        ("def f():\n    import prc_cli.methods.prc.support", "prc_cli.methods.prc.support"),
-        ("from prc_cli.core_of_loops import one", "prc_cli.core_of_loops.one"),
-        ("import importlib", "importlib"),
-        ("import numba", "numba"),
-    ],
-)
-def test_hidden_imports_are_seen(
-    line: str,
-    name: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    path = tmp_path / "prc_cli" / "reference" / "prc" / "one.py"
-    path.parent.mkdir(parents=True)
-    path.write_text(line)
-    monkeypatch.setitem(globals(), "ROOT", tmp_path)
-    assert list(imported(path)) == [name]
-    assert not is_allowed(name)
+def test_twins_share_no_code_with_loops() -> None:
+    """Import-linter sees to what modules of the reference import."""
+    for name in OF_PAPERS:
+        assert twin_module(name).__name__.startswith("prc_cli.reference.")
+    tree = ast.parse(inspect.getsource(paper))
+    modules = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    assert {name for name in modules if name.startswith("prc_cli")} == {
+        "prc_cli.core.classes",
+        "prc_cli.core.types",
+        "prc_cli.reference.prc.stages",
+    }

@@ -4,23 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from operator import attrgetter
 
 import numpy as np
 import pytest
 
-from prc_cli.config import RunConfig
+from prc_cli.config import RunConfig, load_config
 from prc_cli.core.classes import Label, Reason
+from prc_cli.core.errors import InputError
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, U8
 from prc_cli.methods.base import Classifier, MethodParams, Needs, OneByOne, Part, Turn, Wanted
 from prc_cli.methods.forest.thresholds import FOREST
 from prc_cli.methods.fused.thresholds import STREET
 from prc_cli.methods.methods import METHODS, MethodTables, table_of
+from prc_cli.methods.prc.pipeline import Prc, PrcParams
 from prc_cli.methods.reasons import FURTHER, RULES, VOTE, reason_table
 from prc_cli.methods.returns import label_extra_returns
 from prc_cli.methods.rings.thresholds import MANY
 from prc_cli.methods.run import run_blocks
+from tests.methods.fused.street_lines import BEAM
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +117,49 @@ def test_a_runner_that_is_left_early_leaves_no_thread() -> None:
     labelled = run_blocks(blocks(), Parity(2), threads=3)
     next(labelled)
     labelled.close()  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("method", "step"),
+    [
+        ("prc", "background"),
+        ("prc", "identify"),
+        ("prc", "count_smooth"),
+        ("prc", "urban"),
+        ("fused", "_measure_noise"),
+        ("fused", "measure_neighbours"),
+        ("fused", "follow_ground"),
+        ("fused", "_decide_stream"),
+    ],
+)
+def test_a_block_that_fails_lets_the_others_end(
+    monkeypatch: pytest.MonkeyPatch, method: str, step: str
+) -> None:
+    """Before, in, between and after the steps that hand on.
+
+    Nobody waits for a turn that never comes.
+    """
+    pipeline = import_module(f"prc_cli.methods.{method}.pipeline")
+    plain = getattr(pipeline, step)
+    calls: list[None] = []
+
+    def fails(*arguments: object, **named: object) -> object:
+        calls.append(None)
+        if len(calls) == 2:
+            raise MemoryError(step)
+        return plain(*arguments, **named)
+
+    monkeypatch.setattr(pipeline, step, fails)
+    block = ScanBlock(0, np.ones((24, len(BEAM)), np.float32), beam_rad=BEAM)
+    params = load_config(options={"method": method, method: {"lines_per_block": 4}}).config
+    with pytest.raises(MemoryError, match=step):
+        list(run_blocks(iter([block]), params.classifier.method(), threads=2))
+
+
+def test_lines_of_another_length_are_refused() -> None:
+    blocks = [ScanBlock(0, np.ones((4, 5), np.float32)), ScanBlock(4, np.ones((5, 4), np.float32))]
+    with pytest.raises(InputError, match=r"found an array of shape \(\d, 4\)"):
+        list(run_blocks(iter(blocks), Prc(PrcParams(lines_per_block=2)), threads=2))
 
 
 def test_the_table_holds_what_it_names() -> None:

@@ -11,8 +11,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.ablation import changed
+from prc_cli.config import load_config
+from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, U8
-from prc_cli.methods.fused.pipeline import FusedScanner
+from prc_cli.jobs.classify import label_blocks
+from prc_cli.methods.base import LABELS_ALONE, OneByOne, Wanted
+from prc_cli.methods.fused.pipeline import Fused, FusedParams, FusedScanner, initial_state
 
 GROUND, BUILDING, VEGETATION, STRAY, CAR, SKY = range(1, 7)
 BEAM: F64 = np.deg2rad(np.linspace(-150, 150, 1501))
@@ -71,3 +75,25 @@ def street_lines(n_lines: int, seed: int = 1, *, noise_m: float = 0.002) -> tupl
 def with_limits(scanner: FusedScanner, **tables: Any) -> FusedScanner:
     """Return a scanner with other limits; see :func:`benchmarks.ablation.changed`."""
     return replace(scanner, limits=changed(scanner.limits, **tables))
+
+
+def classified(ranges: F32, **limits: Any) -> U8:
+    """Label a stream as one block, with other limits than usual."""
+    scanner = with_limits(FusedScanner.of(BEAM), **limits)
+    turn = OneByOne(initial_state(scanner))
+    (item,) = Fused(FusedParams()).label(ScanBlock(0, ranges), scanner, turn, LABELS_ALONE)
+    return item.labels
+
+
+def results(
+    preset: str, name: str, ranges: F32, size: int = 50, threads: int = 1
+) -> np.ndarray[Any, Any]:
+    """Label a stream in pieces; return its "labels", "confidence" or heights, "above_m"."""
+    pieces = (
+        ScanBlock(first, ranges[first : first + size], beam_rad=BEAM)
+        for first in range(0, len(ranges), size)
+    )
+    params = load_config(preset=preset).config.classifier
+    wanted = Wanted(confidence=name == "confidence", stages=name == "above_m")
+    items = list(label_blocks(pieces, params, wanted=wanted, threads=threads))
+    return np.concatenate([getattr(item, name) for item in items])

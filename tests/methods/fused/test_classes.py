@@ -5,35 +5,22 @@ What they are, and what they are without their steps.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 from prc_cli.core.classes import Label
-from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, U8, Mask
-from prc_cli.methods.base import LABELS_ALONE, OneByOne
-from prc_cli.methods.fused.pipeline import Fused, FusedParams, FusedScanner, initial_state
 from tests.methods.fused.street_lines import (
     BEAM,
     BUILDING,
     GROUND,
     HEIGHT_M,
+    classified,
     street_lines,
-    with_limits,
 )
 
-SCANNER = FusedScanner.of(BEAM)
 SIDE = np.sin(BEAM)
 DOWN = np.cos(BEAM)
-
-
-def classified(ranges: F32, **limits: Any) -> U8:
-    scanner = with_limits(SCANNER, **limits)
-    turn = OneByOne(initial_state(scanner))
-    (labelled,) = Fused(FusedParams()).label(ScanBlock(0, ranges), scanner, turn, LABELS_ALONE)
-    return labelled.labels
 
 
 def surface(side_m: float, low_m: float, high_m: float) -> F64:

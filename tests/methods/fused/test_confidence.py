@@ -5,7 +5,6 @@ What it means, where it is written, and what it does not depend on.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,56 +14,28 @@ from prc_cli.config import load_config
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ExtraReturns, ScanBlock
-from prc_cli.core.types import U8
+from prc_cli.core.types import F32, U8
 from prc_cli.jobs.classify import classify, label_blocks
 from prc_cli.methods.base import Wanted
 from prc_cli.methods.fused.confidence import MEASURES, N_QUESTIONS, QUESTIONS, load_table
-from tests.methods.fused.street_lines import BEAM, street_lines
+from tests.methods.fused.street_lines import BEAM, results, street_lines
 
 ON = {"output": {"confidence": True}, "input": {"nadir": 0.0}}
 
 
-def confidence(
-    preset: str,
-    block: ScanBlock,
-    size: int = 50,
-    threads: int = 1,
-) -> U8:
-    """Label a block in pieces; return the confidence of all lines."""
-    params = load_config(preset=preset).config.classifier
-    pieces = (
-        replace(
-            block,
-            first_line=a,
-            range_m=block.range_m[a : a + size],
-            is_last=a + size >= block.n_lines,
-        )
-        for a in range(0, block.n_lines, size)
-    )
-    blocks = [
-        item.confidence
-        for item in label_blocks(pieces, params, wanted=Wanted(confidence=True), threads=threads)
-    ]
-    return np.concatenate(
-        [block_confidence for block_confidence in blocks if block_confidence is not None]
-    )
+def confidence(ranges: F32, preset: str = "fused") -> U8:
+    return results(preset, "confidence", ranges)
 
 
 @pytest.mark.parametrize("preset", ["fused", "fused-forest"])
 def test_it_is_a_percentage_of_every_return(preset: str) -> None:
     ranges = street_lines(140)[0]
-    percentages = confidence(preset, ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))
+    percentages = confidence(ranges, preset)
     assert (percentages.dtype, percentages.shape) == (np.uint8, ranges.shape)
     assert (percentages[np.isnan(ranges)] == 0).all()
     there = percentages[~np.isnan(ranges)]
     assert there.min() > 0
     assert 90 < there.max() <= 100
-
-
-def test_it_depends_neither_on_threads_nor_on_cuts() -> None:
-    block = ScanBlock(0, street_lines(150)[0], beam_rad=BEAM, is_last=True)
-    whole = confidence("fused", block, 150)
-    np.testing.assert_array_equal(confidence("fused", block, 17, threads=3), whole)
 
 
 def test_labels_are_the_same_without_it() -> None:
@@ -83,11 +54,11 @@ def test_labels_are_the_same_without_it() -> None:
 def test_stray_points_take_confidence_from_a_road() -> None:
     ranges = street_lines(140)[0]
     road = np.abs(np.rad2deg(BEAM)) < 20
-    plain = confidence("fused", ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))[40:60, road]
+    plain = confidence(ranges)[40:60, road]
     rng = np.random.default_rng(1)
     noisy = ranges.copy()
     noisy[40:60, road] += rng.normal(0, 0.1, (20, int(road.sum()))).astype(np.float32)
-    rough = confidence("fused", ScanBlock(0, noisy, beam_rad=BEAM, is_last=True))[40:60, road]
+    rough = confidence(noisy)[40:60, road]
     assert np.median(plain) >= 99
     assert rough.mean() < plain.mean() - 5
 

@@ -10,38 +10,15 @@ import pytest
 
 from prc_cli.config import load_config
 from prc_cli.core.stream import ScanBlock
-from prc_cli.core.types import F32
-from prc_cli.jobs.classify import classify, label_blocks
-from prc_cli.methods.base import Wanted
+from prc_cli.jobs.classify import classify
 from prc_cli.methods.fused.confidence import true_heights
-from tests.methods.fused.street_lines import BEAM, BUILDING, GROUND, HEIGHT_M, street_lines
-
-
-def heights(
-    preset: str,
-    block: ScanBlock,
-    size: int = 50,
-    threads: int = 1,
-) -> F32:
-    """Label a block in pieces; return the heights of all lines."""
-    pieces = (
-        replace(
-            block,
-            first_line=a,
-            range_m=block.range_m[a : a + size],
-            is_last=a + size >= block.n_lines,
-        )
-        for a in range(0, block.n_lines, size)
-    )
-    method = load_config(preset=preset).config.classifier
-    blocks = label_blocks(pieces, method, wanted=Wanted(stages=True), threads=threads)
-    return np.concatenate([item.above_m for item in blocks if item.above_m is not None])
+from tests.methods.fused.street_lines import BEAM, BUILDING, GROUND, HEIGHT_M, results, street_lines
 
 
 @pytest.mark.parametrize("preset", ["fused", "fused-forest", "street-scan"])
 def test_heights_are_those_above_the_road(preset: str) -> None:
     ranges, kind = street_lines(150)
-    above_m = heights(preset, ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))
+    above_m = results(preset, "above_m", ranges)
     assert above_m.dtype == np.float32
     assert (np.isnan(above_m) == np.isnan(ranges)).mean() > 0.999
     expected = HEIGHT_M - ranges * np.cos(BEAM)
@@ -52,13 +29,6 @@ def test_heights_are_those_above_the_road(preset: str) -> None:
     assert (
         np.quantile(np.abs(above_m - expected)[facade], 0.9) < 0.16
     )  # the sidewalk before it is 0.12 m higher
-
-
-def test_they_do_not_depend_on_threads_and_cuts() -> None:
-    block = ScanBlock(0, street_lines(150)[0], beam_rad=BEAM, is_last=True)
-    np.testing.assert_array_equal(
-        heights("fused", block, 17, threads=3), heights("fused", block, 150)
-    )
 
 
 def test_a_leaning_plane_has_true_heights() -> None:
@@ -87,7 +57,5 @@ def test_a_stream_may_begin_amid_a_line_below_eaves() -> None:
     ranges = street_lines(60)[0]
     degrees = np.rad2deg(BEAM)
     ranges[0] = np.where((degrees > 100) & (degrees < 110), -0.3 / np.cos(BEAM), np.nan)
-    above_m = heights("fused", ScanBlock(0, ranges, beam_rad=BEAM, is_last=True))[
-        1:, np.abs(degrees) < 45
-    ]
+    above_m = results("fused", "above_m", ranges)[1:, np.abs(degrees) < 45]
     assert np.nanquantile(np.abs(above_m), 0.9) < 0.1

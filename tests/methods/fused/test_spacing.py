@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.classes import Label
-from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, I64, U8
-from prc_cli.methods.base import LABELS_ALONE, OneByOne
+from prc_cli.methods.base import OneByOne
 from prc_cli.methods.fused.neighbours import smooth_pairs
 from prc_cli.methods.fused.pipeline import (
-    Fused,
     FusedParams,
     FusedScanner,
     classify_block,
@@ -108,21 +106,3 @@ def test_lines_of_all_distances_equal_streams_of_these_lines() -> None:
         np.testing.assert_array_equal(
             spaced[i], pairs if stride != STANDS else IN_LINE_PAIRS[pairs]
         )
-
-
-def classified(ranges: F32) -> U8:
-    turn = OneByOne(initial_state(SCANNER))
-    (block,) = Fused(FusedParams()).label(ScanBlock(0, ranges), SCANNER, turn, LABELS_ALONE)
-    return block.labels
-
-
-def test_labels_of_the_wider_window_do_not_depend_on_blocks() -> None:
-    ranges = street_lines(48)[0]
-    whole = classified(ranges)
-    params = FusedParams(lines_per_block=5)
-    state = OneByOne(initial_state(SCANNER))
-    parts = []
-    for first in range(0, len(ranges), 5):
-        block = ScanBlock(first, ranges[first : first + 5], next_m=ranges[first + 5 : first + 45])
-        parts.append(Fused(params).label(block, SCANNER, state, LABELS_ALONE)[0].labels)
-    assert (np.concatenate(parts) != whole).mean() < 0.002

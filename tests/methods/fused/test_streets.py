@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,20 +10,16 @@ import pytest
 from prc_cli.core.classes import Label
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, U8
-from prc_cli.jobs.classify import label_blocks
-from prc_cli.methods.base import LABELS_ALONE, OneByOne, Wanted
-from prc_cli.methods.fused import pipeline
+from prc_cli.methods.base import OneByOne, Wanted
 from prc_cli.methods.fused.pipeline import (
     Fused,
     FusedParams,
     FusedScanner,
-    FusedState,
     initial_state,
 )
 from prc_cli.methods.fused.plane import ScanPlane
 from prc_cli.methods.fused.range_noise import DEFAULT_NOISE_M, NoiseAlong, SensorParams
 from prc_cli.methods.fused.thresholds import NEVER, NO_BINS
-from prc_cli.methods.run import run_blocks
 from tests.methods.fused.street_lines import (
     BEAM,
     BUILDING,
@@ -32,8 +27,9 @@ from tests.methods.fused.street_lines import (
     GROUND,
     STRAY,
     VEGETATION,
+    classified,
+    results,
     street_lines,
-    with_limits,
 )
 
 PLANE = ScanPlane.of(BEAM)
@@ -46,33 +42,6 @@ EXPECTED = {
     STRAY: Label.NOISE,
     CAR: Label.CAR,
 }
-
-
-def classify_block(
-    ranges: F32,
-    following: F32 | None,
-    state: FusedState,
-    params: FusedParams,
-    scanner: FusedScanner = SCANNER,
-) -> tuple[U8, FusedState]:
-    """Classify one block: its labels, and the state after it."""
-    turn = OneByOne(state)
-    (labelled,) = Fused(params).label(
-        ScanBlock(0, ranges, next_m=following), scanner, turn, LABELS_ALONE
-    )
-    return labelled.labels, turn.state
-
-
-def classified(ranges: F32, params: FusedParams = PARAMS, **limits: Any) -> U8:
-    scanner = with_limits(SCANNER, **limits)
-    state = initial_state(scanner)
-    parts = []
-    k = params.lines_per_block
-    for first in range(0, len(ranges), k):
-        following = ranges[first + k : first + k + 5]
-        labels, state = classify_block(ranges[first : first + k], following, state, params, scanner)
-        parts.append(labels)
-    return np.concatenate(parts)
 
 
 def recalls(labels: U8, kind: U8) -> dict[int, float]:
@@ -156,36 +125,11 @@ def test_a_step_that_is_off_is_missed(
     assert recalls(classified(street[0], **off), street[1])[kind] < usual - 0.2
 
 
-@pytest.mark.parametrize(
-    "step", ["_measure_noise", "measure_neighbours", "follow_ground", "_decide_stream"]
-)
-def test_a_block_that_fails_lets_the_others_end(monkeypatch: pytest.MonkeyPatch, step: str) -> None:
-    """Before, in, between and after the steps that hand on.
-
-    Nobody waits for a turn that never comes.
-    """
-    plain = getattr(pipeline, step)
-    calls: list[None] = []
-
-    def fails(*arguments: object, **named: object) -> object:
-        calls.append(None)
-        if len(calls) == 2:
-            raise MemoryError(step)
-        return plain(*arguments, **named)
-
-    monkeypatch.setattr(pipeline, step, fails)
-    block = ScanBlock(0, np.ones((24, len(BEAM)), np.float32), beam_rad=BEAM)
-    with pytest.raises(MemoryError, match=step):
-        list(run_blocks(iter([block]), Fused(FusedParams(lines_per_block=4)), threads=2))
-
-
-def test_labels_do_not_depend_on_how_the_stream_is_cut(street: tuple[F32, U8]) -> None:
-    ranges = street[0]
-    params = FusedParams(lines_per_block=16)
-    cuts = [0, 1, 7, 30, 31, 60]
-    blocks = (ScanBlock(a, ranges[a:b], beam_rad=BEAM, is_last=b == 60) for a, b in pairwise(cuts))
-    labels = np.concatenate([item.labels for item in label_blocks(blocks, params, threads=2)])
-    np.testing.assert_array_equal(labels, classified(ranges, params))
+@pytest.mark.parametrize("name", ["labels", "confidence", "above_m"])
+def test_nothing_depends_on_threads_and_cuts(name: str) -> None:
+    ranges = street_lines(150)[0]
+    whole = results("fused", name, ranges, 150)
+    np.testing.assert_array_equal(results("fused", name, ranges, 17, threads=3), whole)
 
 
 def test_every_line_has_the_noise_measured_up_to_it() -> None:
@@ -202,30 +146,3 @@ def test_every_line_has_the_noise_measured_up_to_it() -> None:
         noises_m += labelled.measures["range noise [m]"][:, 0].tolist()
     assert noises_m == noise_along(ranges, SensorParams(), 64)
     assert len(set(noises_m)) > 4
-
-
-def test_cars_are_sought_at_the_heights_of_their_own_lines(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen = []
-
-    def find_cars(
-        labels: Any,
-        range_m: Any,
-        above_m: Any,
-        texture: Any,
-        n_lines: int,
-        plane: Any,
-        before: Any,
-        thresholds: Any,
-    ) -> tuple[U8, Any]:
-        seen.append((range_m, above_m))
-        return labels[:n_lines], before
-
-    monkeypatch.setattr(pipeline, "has_car_profiles", lambda plane, limits: True)
-    monkeypatch.setattr(pipeline, "find_cars", find_cars)
-    ranges = street_lines(40)[0]
-    ranges[::3, ::2] = np.nan  # every line is known by what it lacks
-    classify_block(ranges, None, initial_state(SCANNER), PARAMS)
-    ((range_m, above_m),) = seen
-    # heights are not known everywhere, but nowhere without a range
-    assert np.isfinite(above_m).mean() > 0.3
-    assert not np.isfinite(above_m[np.isnan(range_m)]).any()

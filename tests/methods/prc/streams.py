@@ -7,67 +7,26 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
+from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, I64, U8
-from prc_cli.methods.base import OneByOne
-from prc_cli.methods.prc.pipeline import (
-    PrcParams,
-    PrcState,
-    PrcTrace,
-    classify_block,
-    initial_state,
-)
+from prc_cli.methods.base import Wanted
+from prc_cli.methods.prc.pipeline import Prc, PrcParams
 from prc_cli.methods.prc.surfaces import area_threshold
+from prc_cli.methods.run import run_blocks
 from tests.methods.prc.paper import Settings
 
-TIGHT_LOOK_AHEAD = {1: 4, 2: 2}
-"""Lines of look-ahead that suffice for very short scan lines; two for all others."""
 
-
-def trace_block(
-    range_m: F32,
-    next_m: F32 | None,
-    state: PrcState,
-    params: PrcParams,
-    *,
-    segments: bool = True,
-) -> tuple[PrcTrace, PrcState]:
-    """Classify one block: what was found, and the state after it."""
-    turn = OneByOne(state)
-    trace = classify_block(range_m, next_m, turn, params, segments=segments)
-    return trace, turn.state
-
-
-def run_blocks(
-    range_m: F32, params: PrcParams, extra_lines: int = 0
-) -> list[tuple[PrcTrace, PrcState]]:
-    """Classify a stream as the program does, k lines and the least look-ahead at a time.
-
-    The state after each.
-    """
-    k = params.lines_per_block
-    width = range_m.shape[1]
-    ahead = TIGHT_LOOK_AHEAD.get(width, 2) + extra_lines
-    state = initial_state(width)
-    traces = []
-    for first in range(0, len(range_m), k):
-        following = range_m[first + k : first + k + ahead]
-        trace, state = trace_block(range_m[first : first + k], following, state, params)
-        traces.append((trace, state))
-    return traces
-
-
-def run_stream(range_m: F32, params: PrcParams) -> tuple[U8, I64]:
+def run_stream(
+    range_m: F32, params: PrcParams, threads: int = 1, *, segments: bool = True
+) -> tuple[U8, I64]:
     """Labels and segments of a whole stream."""
-    traces = [trace for trace, _ in run_blocks(range_m, params)]
-    return np.concatenate([trace.labels for trace in traces]), np.concatenate(
-        [segments_of(block_trace) for block_trace in traces]
+    blocks = iter([ScanBlock(0, range_m)])
+    wanted = Wanted(segments=segments)
+    items = list(run_blocks(blocks, Prc(params), threads=threads, wanted=wanted))
+    assert all((item.segments is None) != segments for item in items)
+    return np.concatenate([item.labels for item in items]), np.concatenate(
+        [item.labels if item.segments is None else item.segments for item in items]
     )
-
-
-def segments_of(trace: PrcTrace) -> I64:
-    """Segment ids that were asked for."""
-    assert trace.segments is not None
-    return trace.segments
 
 
 def to_settings(params: PrcParams, points_per_line: int) -> Settings:

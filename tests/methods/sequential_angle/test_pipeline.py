@@ -8,22 +8,18 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from prc_cli.config import RunConfig, load_config
+from prc_cli.config import load_config
 from prc_cli.core.blocks import cut
 from prc_cli.core.classes import Label
-from prc_cli.core.stream import ExtraReturns, LabelledBlock, ScanBlock
-from prc_cli.core.types import U8
+from prc_cli.core.stream import ExtraReturns, LabelledBlock, ScanBlock, StageLabels
 from prc_cli.jobs.classify import label_blocks
-from prc_cli.methods.base import OneByOne, Wanted
+from prc_cli.methods.base import Wanted
 from prc_cli.methods.run import run_blocks
 from prc_cli.methods.sequential_angle.pipeline import (
     Beams,
     SequentialAngle,
-    SequentialAngleState,
-    classify_block,
     follow_ground,
     initial_state,
-    stages_in_columns,
     within_lines,
 )
 from prc_cli.methods.sequential_angle.thresholds import SequentialAngleThresholds
@@ -32,48 +28,38 @@ from tests.simulated import static_arrays
 PARAMS = SequentialAngleThresholds().at_noise()
 
 
-def scan(
-    elevation_step: float = 0.5, azimuth_step: float = 1.5, seed: int = 3
-) -> tuple[ScanBlock, U8]:
-    """A simulated static scan as one block, and its reference labels."""
-    return static_arrays(elevation_step, azimuth_step, seed)
+def scan() -> ScanBlock:
+    """A simulated static scan as one block."""
+    return static_arrays(0.5, 1.5, 3)[0]
 
 
-def cuts(
-    block: ScanBlock, rng: np.random.Generator | None = None, lines: int = 1
-) -> Iterator[ScanBlock]:
-    """The same lines in blocks of some or of random numbers of lines."""
-    start = 0
-    while start < block.n_lines:
-        stop = min(start + (lines if rng is None else int(rng.integers(1, 60))), block.n_lines)
-        yield cut(block, start, stop)
-        start = stop
+def cuts(block: ScanBlock, lines: int = 1) -> Iterator[ScanBlock]:
+    """The same lines in blocks of some lines."""
+    for start in range(0, block.n_lines, lines):
+        yield cut(block, start, min(start + lines, block.n_lines))
 
 
 def run(
-    blocks: Iterator[ScanBlock], params: SequentialAngleThresholds, n_lines: int
-) -> tuple[list[np.ndarray], int]:
-    """Feed blocks to the classifier.
-
-    Return all that it says, and the most lines that ever waited.
-    """
-    turn: OneByOne[SequentialAngleState] | None = None
-    parts: list[list[np.ndarray]] = []
-    n_in = n_out = most = 0
-    method = SequentialAngle(params)
-    for block in blocks:
-        scanner = method.scanner(block)
-        turn = turn or OneByOne(method.initial_state(scanner))
-        n_in += block.n_lines
-        final = classify_block(
-            block.range_m, block.xyz_m, scanner, turn, params, last=n_in == n_lines, stages=True
+    blocks: Iterator[ScanBlock], threads: int = 1, shots_at_once: int = 100_000
+) -> list[np.ndarray]:
+    """Classify blocks; return the labels and every stage of all lines."""
+    items = list(
+        run_blocks(
+            blocks,
+            SequentialAngle(PARAMS),
+            threads=threads,
+            shots_at_once=shots_at_once,
+            wanted=Wanted(stages=True),
         )
-        n_out += len(final.labels)
-        stages = stages_in_columns(final.rows, final.labels, scanner)
-        parts.append([final.labels, *(getattr(stages, stage.name) for stage in fields(stages))])
-        most = max(most, n_in - n_out)
-    assert n_out == n_in == n_lines
-    return [np.concatenate(arrays) for arrays in zip(*parts, strict=True)], most
+    )
+    stages = [item.stages for item in items if item.stages is not None]
+    return [
+        np.concatenate([item.labels for item in items]),
+        *(
+            np.concatenate([getattr(of_block, stage.name) for of_block in stages])
+            for stage in fields(StageLabels)
+        ),
+    ]
 
 
 def both_sides(block: ScanBlock) -> ScanBlock:
@@ -95,18 +81,20 @@ def both_sides(block: ScanBlock) -> ScanBlock:
 
 
 @pytest.mark.parametrize("two_sides", [False, True])
-def test_labels_do_not_depend_on_how_the_stream_is_cut(two_sides: bool) -> None:
-    block, _ = scan()
+@pytest.mark.parametrize(
+    ("lines", "threads", "shots"), [(1, 1, 1), (49, 2, 3000), (20, 3, 100_000)]
+)
+def test_labels_depend_neither_on_cuts_nor_on_threads(
+    two_sides: bool, lines: int, threads: int, shots: int
+) -> None:
+    block = scan()
     block = both_sides(block) if two_sides else block
-    rng = np.random.default_rng(12)
-    expected, _ = run(iter([block]), PARAMS, block.n_lines)
+    expected = run(iter([block]))
     assert {Label.GROUND, Label.CAR, Label.VEGETATION, Label.VERTICAL} <= {
         Label(label) for label in np.unique(expected[0])
     }
-    for blocks in (cuts(block), cuts(block, rng), cuts(block, rng), cuts(block, lines=49)):
-        results, _ = run(blocks, PARAMS, block.n_lines)
-        for result, expected_result in zip(results, expected, strict=True):
-            np.testing.assert_array_equal(result, expected_result)
+    for result, whole in zip(run(cuts(block, lines), threads, shots), expected, strict=True):
+        np.testing.assert_array_equal(result, whole)
 
 
 def test_two_sides_are_classified_like_the_lines_that_they_are() -> None:
@@ -114,17 +102,16 @@ def test_two_sides_are_classified_like_the_lines_that_they_are() -> None:
 
     Only the order in which heights come in differs.
     """
-    block, _ = scan()
-    single, _ = run(iter([block]), PARAMS, block.n_lines)
-    pair = both_sides(block)
-    double, _ = run(iter([pair]), PARAMS, pair.n_lines)
+    block = scan()
+    single = run(iter([block]))[0]
+    double = run(iter([both_sides(block)]))[0]
     m = block.points_per_line
-    unfolded = np.concatenate([double[0][:, m:], double[0][:, :m][:, ::-1]])
-    assert np.mean(unfolded == single[0]) > 0.99
+    unfolded = np.concatenate([double[:, m:], double[:, :m][:, ::-1]])
+    assert np.mean(unfolded == single) > 0.99
 
 
 def test_lines_wait_for_the_first_heights_of_the_ground_and_no_longer() -> None:
-    block, _ = scan()
+    block = scan()
     assert block.beam_rad is not None
     beams = Beams.of(block.beam_rad)
     ground = initial_state(beams, PARAMS).ground
@@ -140,12 +127,8 @@ def test_lines_wait_for_the_first_heights_of_the_ground_and_no_longer() -> None:
     assert known_at == PARAMS.ground.start_heights
 
 
-def config() -> RunConfig:
-    return load_config(preset="street-scan").config
-
-
 def test_further_returns_are_labelled_from_their_own_line() -> None:
-    block, _ = scan()
+    block = scan()
     # the scanner counts millimetres: neighbours of one range would have a right to each other's
     # class
     distinct = block.range_m + np.arange(block.points_per_line, dtype=np.float32) * np.float32(2e-5)
@@ -156,27 +139,12 @@ def test_further_returns_are_labelled_from_their_own_line() -> None:
     far = ExtraReturns(line[:1], column[:1], ranges[:1] + 50, np.zeros(1, np.int64))
     for extra_m, lone in ((extra, False), (far, True)):
         items: list[LabelledBlock] = list(
-            label_blocks(iter([replace(block, extra=extra_m)]), config().classifier)
+            label_blocks(
+                iter([replace(block, extra=extra_m)]),
+                load_config(preset="street-scan").config.classifier,
+            )
         )
         labels = np.concatenate([item.labels for item in items])
         extra_labels = np.concatenate([item.extra_labels for item in items])
         expected = np.full(1, Label.UNCLASSIFIED) if lone else labels[line, column]
         np.testing.assert_array_equal(extra_labels, expected)
-
-
-@pytest.mark.parametrize("threads", [1, 2, 3])
-def test_threads_change_nothing(threads: int) -> None:
-    block, _ = scan()
-    whole, _ = run(iter([block]), PARAMS, block.n_lines)
-    for shots in (1, 3000, 100_000):
-        labelled = run_blocks(
-            cuts(block, np.random.default_rng(5)),
-            SequentialAngle(PARAMS),
-            threads=threads,
-            shots_at_once=shots,
-            wanted=Wanted(stages=True),
-        )
-        parts = list(labelled)
-        np.testing.assert_array_equal(np.concatenate([item.labels for item in parts]), whole[0])
-        surfaces = [item.stages.surface for item in parts if item.stages is not None]
-        np.testing.assert_array_equal(np.concatenate(surfaces), whole[1])
