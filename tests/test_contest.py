@@ -15,7 +15,6 @@ from benchmarks.contest_data import (
 )
 from benchmarks.contest_judge import judge
 from benchmarks.contest_methods import PAPERS, label_scan
-from benchmarks.contest_peers import Points, step
 
 pytestmark = pytest.mark.slow
 
@@ -41,22 +40,3 @@ def test_a_simulated_scan_is_judged() -> None:
     assert np.nanmax(np.abs(far)) < 0.3
     labelled = label_scan(scan, PAPERS[2])
     assert judge(scan, labelled.codes, labelled.extra_codes).f1()["ground"] > 0.5
-
-
-def test_smrf_leaves_a_box_on_a_plane() -> None:
-    x, y = (
-        axis.ravel() for axis in np.meshgrid(np.arange(0.0, 40.0, 0.25), np.arange(0.0, 40.0, 0.25))
-    )
-    box = (np.abs(x - 20.0) < 3.0) & (np.abs(y - 20.0) < 3.0)
-    xyz = np.stack([x, y, 0.05 * x + np.where(box, 2.5, 0.0)], axis=1)
-    points = Points(xyz, np.zeros(len(xyz), np.int32), np.zeros((1, 3)), 2.0)
-    smrf = {
-        "filter": "smrf",
-        "cell_m": 1.0,
-        "slope": 0.15,
-        "window_m": 5.0,
-        "threshold_m": 0.5,
-        "scaler": 1.25,
-    }
-    codes, _ = step(points, smrf, points.no_codes())
-    np.testing.assert_array_equal(codes == 2, ~box)

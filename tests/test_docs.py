@@ -6,8 +6,6 @@ from __future__ import annotations
 import re
 import runpy
 import shlex
-import shutil
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,8 +16,6 @@ import pytest
 
 from prc_cli.cli import COMMANDS, cli
 from prc_cli.config import PRESETS
-from tests import patience
-from tests.browser import chromium
 from tests.street import angles, street
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -154,30 +150,6 @@ def test_a_figure_is_written_from_its_cell(
     assert fill(page, text) == text.replace(f" {shown}<", f" {expected}<")
 
 
-@pytest.mark.parametrize(
-    ("title", "problem"),
-    [
-        ("nobody > car recall", "no row and column of this name"),
-        ("ours > boat recall", "no row and column of this name"),
-        ("a > * > car recall", "2 rows of this name"),
-    ],
-)
-def test_a_figure_that_is_not_there_is_named(page: Path, title: str, problem: str) -> None:
-    with pytest.raises(ValueError, match=f"page.md: 0.5 of x_figures.md#streets-all .*{problem}"):
-        fill(page, f"0.5<!-- x_figures.md#streets-all: {title} -->")
-    with pytest.raises(ValueError, match="no table below such a heading"):
-        fill(page, "0.5<!-- x_figures.md#lanes: ours > span -->")
-
-
-def test_rows_of_a_table_are_copied(page: Path) -> None:
-    text = (
-        "<!-- rows of x_figures.md#streets-all -->\n\n| | a |\n|---|---|\n| *the paper* | old |\n"
-    )
-    assert "| *the paper* | 0.867 | 0.962 | 8 |\n" in fill(page, text)
-    with pytest.raises(ValueError, match="no row 'theirs'"):
-        fill(page, text.replace("*the paper*", "theirs"))
-
-
 def test_figures_of_all_pages_are_those_of_the_tables() -> None:
     pages: dict[Path, str] = GENERATE["prose"]()
     assert {path.name for path in pages} >= {
@@ -196,34 +168,3 @@ def test_the_promise_about_las_names_the_formats_that_are_upgraded(name: str) ->
     text = " ".join((ROOT / name).read_text(encoding="utf-8").split())
     assert "ormats 0 to 5" in text
     assert "#las-of-point-formats-0-to-5" in text
-
-
-@pytest.mark.slow
-def test_the_copy_button_copies_what_a_shell_takes(tmp_path: Path) -> None:
-    """Neither prompts nor outputs, in a browser."""
-    pytest.importorskip("material")
-    shutil.copytree(ROOT / "docs" / "stylesheets", tmp_path / "docs" / "stylesheets")
-    example = "```console\n$ prc demo\nstreet.html\n$ prc info a.laz  # what is in it\n```\n"
-    (tmp_path / "docs" / "index.md").write_text(example, encoding="utf-8")
-    settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:")[0]
-    settings = re.sub(r"^(hooks|extra_javascript):\n  - .*\n", "", settings, flags=re.MULTILINE)
-    (tmp_path / "mkdocs.yml").write_text(settings, encoding="utf-8")
-    patience.run(
-        [sys.executable, "-m", "mkdocs", "build", "-q", "-d", "site"], cwd=tmp_path, check=True
-    )
-    with chromium() as browser:
-        browser.open(tmp_path / "site" / "index.html")
-        button = "[data-clipboard-target]"
-        browser.wait(f"document.querySelector('{button}')")
-        browser.run(
-            "document.addEventListener('copy', () => { const box = document.activeElement;"
-            "window.copied = box && box.value !== undefined ? box.value : "
-            "String(document.getSelection()); }, true)"
-        )
-        browser.click(button)
-        browser.wait("window.copied")
-        copied = browser.run("return window.copied")
-    assert [line for line in copied.split("\n") if line] == [
-        "prc demo",
-        "prc info a.laz  # what is in it",
-    ]

@@ -148,22 +148,11 @@ def test_a_full_disk_is_told_in_one_line(tmp_path: Path, image: np.ndarray, suff
 
     # loops that are not in the cache yet could not be written there
     load_classifier(SHORT)
-    command = [
-        sys.executable,
-        "-m",
-        "prc_cli",
-        "classify",
-        str(source),
-        str(output),
-        "-M",
-        str(POINTS_PER_LINE),
-        "-q",
-        "--preset",
-        "prc-2019-urban",
-    ]
-    run = patience.run(
-        [*command, "--threads", "2"], capture_output=True, text=True, preexec_fn=limit
+    words = (
+        f"classify {source} {output} -M {POINTS_PER_LINE} -q --preset prc-2019-urban --threads 2"
     )
+    command = [sys.executable, "-m", "prc_cli", *words.split()]
+    run = patience.run(command, capture_output=True, text=True, preexec_fn=limit)
     assert run.returncode == 1, run.stderr
     assert folded(run.stderr).count("\n") == 1
     assert "the system's limit for the size of a file is too small" in run.stderr
@@ -177,20 +166,9 @@ def test_ctrl_c_in_mid_run_ends_it_within_seconds(tmp_path: Path, threads: str) 
     source = write_endless(tmp_path / "drive.bin")
     out = tmp_path / "out"
     out.mkdir()
-    command = [
-        sys.executable,
-        "-m",
-        "prc_cli",
-        "classify",
-        str(source),
-        str(out / "labels.npy"),
-        "-M",
-        "2000",
-        "-q",
-        "--preset",
-        "prc-2019-urban",
-    ]
-    with patience.start([*command, "--threads", threads], stderr=subprocess.PIPE, text=True) as run:
+    words = f"classify {source} {out}/labels.npy -M 2000 -q --preset prc-2019-urban"
+    command = [sys.executable, "-m", "prc_cli", *words.split(), "--threads", threads]
+    with patience.start(command, stderr=subprocess.PIPE, text=True) as run:
         # the run is in its midst when labels are there
         wait_until(
             lambda: (

@@ -16,7 +16,7 @@ from prc_cli.config import load_config
 from prc_cli.evaluation import mapping
 from prc_cli.formats.registry import formats
 from tests import patience
-from tests.measure import together, weigh, weigh_text
+from tests.measure import together, weigh
 
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = sorted((ROOT / "prc_cli").rglob("*.py"))
@@ -202,16 +202,3 @@ def test_the_house_is_no_heavier_to_read(folder: str) -> None:
         if getattr(weight, name) > most
     }
     assert heavier == {}, "python -m tests.measure shows the rooms"
-
-
-def test_what_makes_a_line_heavy_is_counted() -> None:
-    text = (
-        "def _f(one: tuple[int, str]) -> None:\n"
-        '    """Return one, of some."""\n'
-        "    a, b = one, 2\n"
-        f"    c = {'1 + ' * 30}1\n"
-        "\n\n_f((1, ''))\n"
-    )
-    weight = weigh_text(text)
-    assert (weight.riddles, weight.tuples, weight.packed, weight.assignments) == (2, 1, 1, 2)
-    assert (weight.long_lines, weight.named_once, weight.code_lines) == (1, 1, 4)

@@ -93,9 +93,3 @@ def test_a_page_to_do_says_for_whom_shows_its_result_and_a_way_out(name: str) ->
     assert re.search(r"^```(console|bash)\n", text, re.MULTILINE)
     assert "](images/" in text or "```text\n" in text
     assert "\n## If it fails\n" in text
-
-
-def test_the_rules_find_what_they_name() -> None:
-    text = "# A\n\nWhere it is, that of one; .95 is told what stands.\n\n" + "word " * 26
-    assert len(problems(text)) == 7
-    assert problems("It is `a; b` [c](d;e).\n\n```\na; b\n```\n") == []

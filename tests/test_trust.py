@@ -5,22 +5,19 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from benchmarks.trust import Case, Trial, macro_f1, outcome_of, random_of, try_row
+from benchmarks.trust import Case, Trial, random_of, try_row
 from benchmarks.trust_cases import (
     METHODS,
     QUICK_CASES,
     ROWS,
     Context,
     QuickCase,
-    Told,
     plain,
     right_forms,
 )
 from benchmarks.trust_scans import FIRST_SEED, SEEDS_APART, Window, sources, toy
-from benchmarks.user import Labelled, in_own_process
 
 pytestmark = pytest.mark.slow
 
@@ -114,30 +111,6 @@ def test_what_is_wrong_is_named(
     assert words in result.said
     # another unit is named behind it, if at all
     assert "range_scale" not in result.said.partition(words)[0]
-
-
-def test_a_run_in_this_process_is_a_run_of_the_command(tmp_path: Path) -> None:
-    window = window_of("push-broom")
-    stated = plain(window, Context(tmp_path, "fused", random_of()))
-    refused = Told(stated.path, (*stated.options, "-M", "7"), stated.truth)
-    for stated_case in (stated, refused):
-        here = Trial(tmp_path).classify(stated_case, METHODS["fused"])
-        there = Trial(tmp_path, in_own_process).classify(stated_case, METHODS["fused"])
-        assert (here.exit_code, here.stderr) == (there.exit_code, there.stderr)
-        np.testing.assert_array_equal(here.labels, there.labels)
-    assert here.labels is None
-
-
-def test_what_becomes_of_a_case() -> None:
-    labels = np.array([2, 2, 6, 7], np.uint8)
-    assert outcome_of(Labelled(1, "error: no", None), float("nan"), 0.9) == "refused"
-    assert outcome_of(Labelled(4, "", labels), 0.9, 0.9) == "doubted"
-    assert outcome_of(Labelled(0, "warning: units: far", labels), 0.9, 0.9) == "doubted"
-    assert outcome_of(Labelled(0, "", labels), 0.79, 0.9) == "silent"
-    assert outcome_of(Labelled(0, "", labels), 0.81, 0.9) == "harmless"
-    truth = np.array([2, 2, 6, 0])
-    assert macro_f1("street", labels, truth) == 1.0
-    assert macro_f1("street", np.zeros(4, np.uint8), truth) == 0.0
 
 
 def test_limits_are_never_chosen_on_scans_that_are_reported() -> None:

@@ -6,7 +6,6 @@ Every command after the first is the one that the program itself said to type.""
 from __future__ import annotations
 
 import csv
-import json
 import re
 import shlex
 import shutil
@@ -14,15 +13,12 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import laspy
-import numpy as np
 import pytest
 
-import prc_cli
 from prc_cli.cli import cli
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.config import samples_folder
 from tests.runner import runner
-from tests.street import angles, street
 
 pytestmark = pytest.mark.slow
 
@@ -132,37 +128,6 @@ def test_kitti_frame(here: Path, real_data: Path) -> None:
 
 
 ROOT = Path(__file__).resolve().parent.parent
-
-
-def test_other_readers_find_codes_and_names(tmp_path: Path) -> None:
-    np.savez(tmp_path / "drive.npz", range_m=street(), angle_deg=np.rad2deg(angles()))
-    output = tmp_path / "out.laz"
-    summary = prc_cli.classify(tmp_path / "drive.npz", output, prc_cli.load_config(preset="fused"))
-    cloud = laspy.read(output)
-    assert cloud.header.point_format.id >= 6
-    codes = dict(
-        zip(
-            *(part.tolist() for part in np.unique(cloud.classification, return_counts=True)),
-            strict=True,
-        )
-    )
-    counts = {
-        vlr.code: vlr.count for vlr in summary.record.classes if vlr.count and vlr.name != "missing"
-    }
-    assert codes == counts
-    (record,) = [
-        vlr for vlr in cloud.header.vlrs if (vlr.user_id, vlr.record_id) == ("LASF_Spec", 0)
-    ]
-    names = record.lookups
-    assert {65: "car", 66: "curb", 69: "pole"}.items() <= names.items()
-    # what goes on in PDAL: docs/workflow.md
-    page = (ROOT / "docs/workflow.md").read_text(encoding="utf-8")
-    pipeline = json.loads(re.findall(r"```json\n(.*?)```", page, re.DOTALL)[0])
-    wanted = [int(code) for code in re.findall(r"== (\d+)", pipeline[1]["expression"])]
-    assert wanted == [2, 65, 66]
-    assert np.isin(cloud.classification, wanted).sum() == sum(
-        counts.get(code, 0) for code in wanted
-    )
 
 
 def test_styles_of_viewers_hold_every_code() -> None:

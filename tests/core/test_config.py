@@ -26,26 +26,6 @@ def test_layers_override_each_other_and_name_their_source(tmp_path: Path) -> Non
     assert "prc.background.alpha" not in loaded.sources
 
 
-def test_the_presets_hold_the_published_values() -> None:
-    urban = load_config(preset="prc-2019-urban").config.prc
-    assert (urban.lines_per_block, urban.support.zeta_s, urban.support.zeta_p) == (99, 1.0, 1.0)
-    assert (urban.surfaces.area, urban.surfaces.gamma, urban.environment) == (30.0, 2, "urban")
-    assert (urban.background.alpha, urban.background.d_c, urban.background.form) == (
-        0.3,
-        0.05,
-        "centred",
-    )
-    assert urban.support.rho_c == 1 / 3
-    assert urban.components.min_votes == 3
-    forest = load_config(preset="prc-2019-forest").config.prc
-    assert (forest.lines_per_block, forest.support.zeta_s, forest.support.zeta_p) == (
-        255,
-        0.01,
-        0.01,
-    )
-    assert (forest.forest.column_step, forest.forest.density) == (10, 1 / 3)
-
-
 @pytest.mark.parametrize(
     ("table", "message"),
     [

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import io
 import os
-import stat
 import sys
 import time
 from pathlib import Path
@@ -79,31 +78,6 @@ def test_a_file_system_without_hard_links(
     with pytest.raises(OutputExistsError), atomic_output(target, overwrite=False) as temporary:
         temporary.write_bytes(b"second")
     assert target.read_bytes() == b"mine"
-
-
-def test_every_byte_is_on_the_disk_before_the_name_and_the_name_before_the_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The trace of the system calls: fsync of the file, its name, fsync of the folder."""
-    trace: list[str] = []
-    fsync = os.fsync
-    link = os.link
-    replace = os.replace
-
-    def synced(descriptor: int) -> None:
-        trace.append("fsync folder" if stat.S_ISDIR(os.fstat(descriptor).st_mode) else "fsync file")
-        fsync(descriptor)
-
-    monkeypatch.setattr(files.os, "fsync", synced)
-    monkeypatch.setattr(files.os, "link", lambda *names: (trace.append("link"), link(*names)))
-    monkeypatch.setattr(
-        files.Path, "replace", lambda *names: (trace.append("rename"), replace(*names))
-    )
-    for naming in ("link", "rename"):
-        with atomic_output(tmp_path / "a") as temporary:
-            temporary.write_bytes(b"x")
-        assert trace == ["fsync file", naming, "fsync folder"]
-        trace.clear()
 
 
 def test_only_small_regular_files_are_read(tmp_path: Path) -> None:

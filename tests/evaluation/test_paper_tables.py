@@ -5,16 +5,10 @@ Which figures follow from the printed counts, and which do not.
 
 from __future__ import annotations
 
-import json
-import math
-
 import numpy as np
 import pytest
 
-from prc_cli.evaluation.confusion import ConfusionMatrix, accumulate
-from prc_cli.evaluation.html import as_html
-from prc_cli.evaluation.mapping import load_mapping
-from prc_cli.evaluation.reports import as_json, as_markdown
+from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.scores import gate_value, scores
 
 FOREST = ("noise", "ground", "stem")
@@ -23,26 +17,6 @@ TABLE_II = np.array(
 )
 """Lehtola et al. (2019), Table II, right half: reference in rows."""
 
-TABLE_I = {
-    "1.0": (
-        (0.541, 0.286, 0.095, 0.077),
-        (0.003, 0.964, 0.010, 0.023),
-        (0.113, 0.084, 0.665, 0.137),
-        (0.042, 0.222, 0.125, 0.611),
-        (0.165, 0.592, 0.120, 0.123),
-    ),
-    "0.1": (
-        (0.614, 0.263, 0.058, 0.065),
-        (0.159, 0.804, 0.014, 0.023),
-        (0.373, 0.024, 0.467, 0.136),
-        (0.169, 0.025, 0.119, 0.687),
-        (0.222, 0.340, 0.153, 0.285),
-    ),
-}
-"""Lehtola et al. (2019), Table I, by zeta_p.
-
-Shares of noise, ground, vegetation, building; the last row is "other".
-"""
 
 STREET = ("vegetation", "vertical", "car", "horizontal")
 TABLE_1 = np.array(
@@ -83,26 +57,6 @@ def test_table_ii_scores(gate: str, value: float) -> None:
     assert matrix_scores.n_scored == 39_716_061
 
 
-@pytest.mark.parametrize("zeta_p", list(TABLE_I))
-def test_table_i_as_row_shares(zeta_p: str) -> None:
-    mapping = load_mapping("lehtola_urban")
-    matrix = ConfusionMatrix.empty(mapping)
-    for reference, row in zip((7, 2, 5, 6, 65), TABLE_I[zeta_p], strict=True):
-        for code, share in zip((7, 2, 5, 6), row, strict=True):
-            n = round(1000 * share)
-            matrix = accumulate(matrix, np.full(n, code), np.full(n, reference), mapping)
-    shown = matrix.trimmed()
-    assert shown.reference_names == ("noise", "ground", "vegetation", "building", "other")
-    assert shown.predicted_names == ("noise", "ground", "vegetation", "building")
-    assert np.allclose(shown.row_shares(), TABLE_I[zeta_p], atol=0.001)
-    matrix_scores = scores(shown)
-    recalls = [gate_value(matrix_scores, f"recall.{name}") for name in shown.predicted_names]
-    assert recalls == pytest.approx([TABLE_I[zeta_p][i][i] for i in range(4)], abs=0.001)
-    assert math.isnan(matrix_scores.classes[-1].recall)
-    assert matrix_scores.classes[-1].name == "other"
-    assert "other" not in matrix_scores.scored
-
-
 @pytest.mark.parametrize(
     ("gate", "printed", "digits"),
     [
@@ -127,20 +81,3 @@ def test_table_1_scores(gate: str, printed: float, digits: int) -> None:
     # printed there
     assert gate_value(matrix_scores, gate) == pytest.approx(printed, abs=0.6 * 10**-digits)
     assert matrix_scores.n_scored == 7_313_534
-
-
-@pytest.mark.parametrize("matrix", [forest(), street()], ids=["lehtola", "stamos"])
-def test_every_report_tells_the_same_figures(matrix: ConfusionMatrix) -> None:
-    matrix_scores = scores(matrix)
-    markdown = as_markdown(matrix)
-    page = as_html(matrix)
-    table = json.loads(as_json(matrix))
-    assert table["confusion"]["counts"] == matrix.counts.tolist()
-    for item in matrix_scores.classes:
-        for score in ("recall", "precision", "f1", "iou", "accuracy"):
-            value = f"{getattr(item, score):.3f}"
-            assert f"{table['classes'][item.name][score]:.3f}" == value
-            assert all(value in text for text in (markdown, page))
-    for count in matrix.counts.ravel().tolist():
-        assert str(count) in markdown
-        assert f"{count:,}" in page

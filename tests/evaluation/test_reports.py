@@ -29,17 +29,6 @@ MATRIX = ConfusionMatrix(
 )
 
 
-def test_json_holds_the_dictionary_and_null_for_undefined() -> None:
-    table = json.loads(as_json(MATRIX))
-    assert table == as_dict(MATRIX)
-    assert table["classes"]["ground"]["recall"] == 0.9
-    assert table["classes"]["stem"]["recall"] is None
-    assert table["classes"]["other"]["n_reference"] == 2
-    assert table["overall"]["accuracy"] == pytest.approx(160 / 202)
-    assert table["confusion"]["counts"] == MATRIX.counts.tolist()
-    assert (table["n_scored"], table["n_ignored"]) == (202, 5)
-
-
 def test_reports_show_every_score_and_the_page_says_what_it_means() -> None:
     evaluation = samples.evaluation()
     page = as_html(evaluation)
@@ -210,15 +199,3 @@ def test_curves_break_where_they_are_undefined_and_stay_in_the_frame() -> None:
     for x, y in (pair.split(",") for line in lines for pair in line.split()):
         assert 0 < float(x) < box[2]
         assert 0 < float(y) < box[3]
-
-
-def test_curves_break_where_the_next_file_begins() -> None:
-    names = list("abcdef")
-    chart = line_chart(
-        "recall", "line", names, [1] * 6, [Curve("car", (0.5,) * 6, 2)], names, {2, 5}
-    )
-    assert [len(line.split()) for line in re.findall(r'<polyline points="([^"]*)"', chart)] == [
-        2,
-        3,
-    ]
-    assert chart.count('class="break"') == 2

@@ -148,12 +148,6 @@ def test_limits_that_make_no_sense(text: str) -> None:
         parse_gate(text, load_mapping("prc"))
 
 
-@pytest.mark.parametrize("text", ["recal.ground=0.5", "recall.road=0.5", "=0.5"])
-def test_scores_and_classes_that_are_not_there(text: str) -> None:
-    with pytest.raises(ConfigError, match="score: found"):
-        parse_gate(text, load_mapping("prc"))
-
-
 @pytest.mark.parametrize("score", ["recall", "precision", "f1", "iou", "accuracy"])
 def test_classes_of_one_side_have_no_gate_and_are_not_offered(score: str) -> None:
     mapping = ClassMapping(

@@ -71,16 +71,6 @@ def test_one_stratum_by_hand() -> None:
     assert score.n_more == pytest.approx(100 * ((score.high - score.low) ** 2 / 0.04**2 - 1), abs=1)
 
 
-def test_weights_count_not_answers() -> None:
-    """Both strata have ten answers, but the second one has nine tenths of the shots."""
-    scores = estimates(sample("ab", [100_000, 900_000], [[10, 0], [5, 5]]))
-    assert scores["accuracy"].value == pytest.approx(0.1 + 0.9 / 2)
-    assert scores["precision.a"].value == 1
-    assert scores["recall.a"].value == pytest.approx(0.1 / (0.1 + 0.45))
-    assert scores["f1.a"].value == pytest.approx(2 * 0.1 / (0.1 + 0.55))
-    assert scores["recall.b"].value == 1
-
-
 def test_an_error_nobody_saw_is_in_the_interval() -> None:
     """Ten million shots of b with no error among 100 may hide more of a than there is."""
     score = estimate(sample("ab", [10_000, 10_000_000], [[50, 0], [0, 100]]), "recall.a")
@@ -103,23 +93,10 @@ def test_every_interval_contains_its_estimate(
             assert 0 <= score.low <= score.value <= score.high <= 1
 
 
-def test_one_wrong_answer_says_little() -> None:
-    score = estimate(sample("ab", [1_000, 1_000], [[0, 1], [0, 9]]), "precision.a")
-    assert score.value == score.low == 0
-    assert score.high > 0.9
-
-
 def test_a_stratum_that_was_answered_whole_is_known() -> None:
     score = estimate(sample("ab", [10, 20], [[9, 1], [0, 20]]), "accuracy")
     assert score.low == pytest.approx(score.value)
     assert score.high == pytest.approx(score.value)
-
-
-def test_strata_of_confidence_count_by_their_shots() -> None:
-    """Two strata of a: 90 % of its shots are right, 10 % are half right."""
-    scores = estimates(sample("aab", [9_000, 1_000, 5_000], [[20, 0], [10, 10], [0, 20]]))
-    assert scores["precision.a"].value == pytest.approx(0.95)
-    assert scores["recall.b"].value == pytest.approx(5_000 / 5_500)
 
 
 def test_cannot_tell_gives_bounds() -> None:
@@ -170,26 +147,20 @@ class Drive(NamedTuple):
         return truth
 
 
-def drive(shares: list[float], errors: list[float], *, divided: bool = False) -> Drive:
-    """A drive with classes of these shares; divided: a fifth of each has most of the errors."""
+def drive(shares: list[float], errors: list[float]) -> Drive:
+    """A drive with classes of these shares."""
     random = np.random.default_rng(7)
-    predicted, n_shots, rows = "", [], []
-    for k, (share, error) in enumerate(zip(shares, errors, strict=True)):
-        for part, factor in ((0.8, 0.4), (0.2, 3.4)) if divided else ((1.0, 1.0),):
-            others = random.dirichlet(np.full(len(shares) - 1, 0.5)) * error * factor
-            predicted += "abcdefgh"[k]
-            n_shots.append(int(share * part * 1e7))
-            rows.append(np.insert(others, k, 1 - error * factor))
-    return Drive(predicted, np.array(n_shots), np.array(rows))
+    rows = []
+    for k, error in enumerate(errors):
+        others = random.dirichlet(np.full(len(shares) - 1, 0.5)) * error
+        rows.append(np.insert(others, k, 1 - error))
+    n_shots = (np.array(shares) * 1e7).astype(np.int64)
+    return Drive("abcdefgh"[: len(shares)], n_shots, np.array(rows))
 
 
 DRIVES = {
     "usual": drive([0.45, 0.3, 0.15, 0.08, 0.02], [0.03, 0.05, 0.08, 0.15, 0.25]),
-    "divided": drive([0.5, 0.3, 0.15, 0.05], [0.02, 0.05, 0.1, 0.25], divided=True),
     "rare": drive([0.6, 0.25, 0.1, 0.04, 0.008, 0.002], [0.01, 0.02, 0.05, 0.1, 0.2, 0.5]),
-    "nearly right": drive([0.6, 0.3, 0.08, 0.02], [0.002, 0.003, 0.01, 0.02]),
-    "right": drive([0.6, 0.3, 0.1], [0, 0, 0]),
-    "poor": drive([0.45, 0.3, 0.15, 0.1], [0.4, 0.5, 0.6, 0.7]),
 }
 
 
@@ -214,7 +185,6 @@ def coverage(made: Drive, n: int, n_draws: int) -> dict[str, float]:
 
 @pytest.mark.parametrize("name", ["usual", "rare"])
 def test_intervals_contain_the_truth(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A quick look; the slow test below looks at every kind of drive."""
     monkeypatch.setattr(stratified, "N_DRAWS", 400)
     covered = coverage(DRIVES[name], 300, 100)
     assert min(covered.values()) >= 0.88

@@ -11,8 +11,6 @@ import json
 import math
 import re
 import zlib
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,9 +21,8 @@ from prc_cli.core.types import F64, U8
 from prc_cli.imaging.cloud import NARROWEST, DepthBuffer, FromAbove, Perspective, Sample
 from prc_cli.imaging.page import HandLabels, PaintedClass
 from prc_cli.imaging.pictures import segment_picture, value_bar
-from prc_cli.imaging.sheet import Axis, Panel, draw_panel, draw_sheet, zoom_for
+from prc_cli.imaging.sheet import Axis, Panel, draw_panel, draw_sheet
 from prc_cli.imaging.viewer import ClassEntry, Shots, Values, viewer_page
-from tests.browser import chromium
 
 
 def test_segments_differ_are_stable_and_none_is_black() -> None:
@@ -36,27 +33,6 @@ def test_segments_differ_are_stable_and_none_is_black() -> None:
     assert picture[0, 1:].max(axis=1).min() > 85
     assert np.array_equal(segment_picture(ids[:, 100:110])[0], picture[0, 100:110])
     assert segment_picture(np.array([[2**62]])).any()
-
-
-def test_ticks_mark_the_middle_of_their_cell_in_both_directions() -> None:
-    forwards = Axis("line", 0, 100)
-    backwards = Axis("line", 100, 0)
-    assert forwards.ticks(1000, 90) == [(5 + 100 * i, str(10 * i)) for i in range(10)]
-    assert sorted(backwards.ticks(1000, 90)) == sorted(
-        (994 - 100 * i, str(10 * i)) for i in range(10)
-    ) or all(abs(place - (995 - 10 * int(text))) <= 1 for place, text in backwards.ticks(1000, 90))
-    assert Axis("none", 0, 0).ticks(100, 10) == []
-
-
-@pytest.mark.parametrize(
-    ("width", "height"), [(2154, 99), (4270, 255), (389, 229), (16, 1), (1, 16), (2083, 64)]
-)
-def test_small_pictures_are_enlarged_and_large_ones_left_alone(width: int, height: int) -> None:
-    across, down = zoom_for(width, height)
-    assert across >= 1
-    assert down >= 1
-    assert width * across <= max(2200, width)
-    assert height * down <= max(2200, height)
 
 
 @pytest.mark.parametrize(
@@ -257,50 +233,6 @@ def test_a_scan_without_returns_is_a_page_all_the_same() -> None:
     )
     _, planes = decoded(page_of(scan))
     assert all(np.isnan(plane).all() for plane in planes.values())
-
-
-def test_a_browser_shows_long_values_and_keeps_the_cloud_in_view(tmp_path: Path) -> None:
-    scan = shots()
-    sentence = (
-        "it stands higher than anything near it, and the beams around it pass by on both sides " * 2
-    )
-    words = {1: sentence, 2: sentence, 3: sentence}
-    reason = Values("because", scan.classes.astype(float), 1.0, 1, "", words=words)
-    scan = replace(scan, more={**scan.more, "reason": reason})
-    page = tmp_path / "a.html"
-    page.write_text(page_of(scan), encoding="utf-8")
-    line, column = np.argwhere(scan.classes == 1)[0]
-    outside = (
-        "const edge = document.querySelector('aside').getBoundingClientRect().right;"
-        "return Array.from(document.querySelectorAll('#shot dd')).filter((each) => {"
-        "const range = document.createRange(); range.selectNodeContents(each);"
-        "return range.getBoundingClientRect().right > edge; }).length"
-    )
-    seen = (
-        "const c = document.getElementById('cloud'), d = "
-        "c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"
-        "const all = new Uint32Array(d.buffer), many = new Map();"
-        "for (const v of all) many.set(v, (many.get(v) || 0) + 1);"
-        "return all.length - Math.max(...many.values())"
-    )
-    turn = (
-        "const c = document.getElementById('cloud'), r = c.getBoundingClientRect();"
-        "c.dispatchEvent(new WheelEvent('wheel', {{deltaY: {}, clientX: r.x + {}, clientY: "
-        "r.y + 20}}))"
-    )
-    with chromium() as browser:
-        for width in (1280, 390):
-            browser.open(page, width=width)
-            browser.wait("document.body.dataset.ready")
-            browser.run(f"location.hash = '{100 + 2 * line},{3 * column}'")
-            browser.wait("document.querySelectorAll('#shot dd').length > 5")
-            assert browser.run(outside) == 0
-            for delta in (-240, 240, 4000, -4000):
-                for k in range(15):
-                    browser.run(turn.format(delta, 30 + 5 * k))
-                    browser.settle()
-                assert browser.run(seen) > 0, (width, delta)
-        assert browser.errors() == []
 
 
 def unpack(text: str, n_bytes: int) -> Any:

@@ -14,8 +14,7 @@ from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ScanBlock
-from prc_cli.formats.input import Input
-from prc_cli.jobs.classify import classify, open_stream
+from prc_cli.jobs.classify import open_stream
 from prc_cli.jobs.convert import convert
 from tests.street import LINE_HZ, POINTS_PER_LINE, angles, street
 
@@ -63,57 +62,6 @@ def drive(tmp_path: Path) -> Path:
         path, range_m=image, angle_deg=np.rad2deg(angle), time_s=times, xyz=xyz, intensity=intensity
     )
     return path
-
-
-XYZ = ("x", "y", "z")
-
-
-def cloud(path: Path) -> Any:
-    """x, y, z of the points of a file, those without coordinates left out."""
-    records = Input.of(path).records()
-    assert records is not None
-    parts = [
-        np.stack([chunk.values[axis] for axis in XYZ], axis=1) for chunk in records.chunks(XYZ)
-    ]
-    xyz = np.concatenate(parts)
-    return xyz[np.isfinite(xyz).all(axis=1)]
-
-
-@pytest.mark.parametrize("to", ["classify", "convert"])
-@pytest.mark.parametrize("suffix", [".laz", ".ply"])
-@pytest.mark.parametrize("from_", [".csv", ".laz"])
-def test_registered_coordinates_are_kept(
-    tmp_path: Path,
-    suffix: str,
-    from_: str,
-    to: str,
-) -> None:
-    """Beside ranges in the file, and where ranges come from a trajectory."""
-    seen = ~np.isnan(street())
-    line, column = np.nonzero(seen)
-    beam = angles()[column]
-    ranges = street()[seen].astype(float)
-    time_s = line / LINE_HZ + column * 1e-4
-    way = 2.4e6 + 7.0 * time_s
-    wanted = np.round(np.stack([way, ranges * np.sin(beam), 60 - ranges * np.cos(beam)], axis=1), 3)
-    (tmp_path / "t.csv").write_text(
-        "".join(f"{t},{2.4e6 + 7 * t},0,60\n" for t in (-1, 0, 1, 2, 3, 4))
-    )
-    (tmp_path / "t.csv").write_text("time,x,y,z\n" + (tmp_path / "t.csv").read_text())
-    rows = zip(time_s.tolist(), *wanted.T.tolist(), line.tolist(), column.tolist(), strict=True)
-    source = tmp_path / "reg.csv"
-    source.write_text(
-        "time,x,y,z,scan_line,column\n" + "\n".join(",".join(map(repr, row)) for row in rows) + "\n"
-    )
-    loaded = config(range_=f"trajectory:{tmp_path / 't.csv'}", points_per_line=POINTS_PER_LINE)
-    if from_ == ".laz":
-        source = tmp_path / "reg.laz"
-        assert "read it with --range trajectory" in str(
-            convert(tmp_path / "reg.csv", source, loaded).record.notices
-        )
-    output = tmp_path / f"out{suffix}"
-    (classify if to == "classify" else convert)(source, output, loaded)
-    np.testing.assert_allclose(cloud(output), wanted, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("suffix", CELLS)

@@ -5,20 +5,17 @@ Labels as of the joined file, an output for every file.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import laspy
 import numpy as np
 import pytest
 
-from prc_cli.cli import cli
 from prc_cli.config import load_config
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.drive import classify_drive
-from tests.runner import runner
-from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz, write_raw
+from tests.street import N_LINES, POINTS_PER_LINE, street, write_npz, write_raw
 
 CUTS = (0, 40 * POINTS_PER_LINE + 77, 41 * POINTS_PER_LINE, N_LINES * POINTS_PER_LINE)
 """Files end within a line, and after less than a line."""
@@ -95,20 +92,6 @@ def test_a_gap_of_time_begins_a_stream_of_its_own(tmp_path: Path) -> None:
     assert np.array_equal(np.asarray(laspy.read(summaries[2].output).classification), alone)
 
 
-def test_other_columns_begin_a_stream_of_their_own(tmp_path: Path) -> None:
-    write_csv(tmp_path / "a.csv", street())
-    write_csv(tmp_path / "b.csv", street(seed=2))
-    text = (tmp_path / "b.csv").read_text().replace("angle_deg", "bearing")
-    (tmp_path / "b.csv").write_text(text)
-    summaries = list(
-        classify_drive([tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "out", URBAN)
-    )
-    assert any(
-        "it has other dimensions than the file before" in notice
-        for notice in summaries[1].record.notices
-    )
-
-
 def test_what_is_refused(tmp_path: Path) -> None:
     _, parts = cut_raw(tmp_path)
     image = write_npz(tmp_path / "image.npz", street())
@@ -122,22 +105,3 @@ def test_what_is_refused(tmp_path: Path) -> None:
     list(classify_drive(parts, tmp_path / "out", WITH_M))
     with pytest.raises(OutputExistsError, match="exists already"):
         list(classify_drive(parts, tmp_path / "out", WITH_M))
-
-
-def test_one_command_takes_a_drive(tmp_path: Path) -> None:
-    _, parts = cut_raw(tmp_path)
-    words = [
-        *map(str, parts),
-        str(tmp_path / "out"),
-        "--preset",
-        "urban",
-        "-M",
-        str(POINTS_PER_LINE),
-        "--json",
-        "-q",
-    ]
-    done = runner().invoke(cli, ["classify", *words])
-    assert done.exit_code in (0, 4), done.output
-    records = json.loads(done.stdout)
-    assert [record["input"]["name"] for record in records] == [part.name for part in parts]
-    assert (tmp_path / "out" / "drive_2.bin.labels.npy").is_file()

@@ -18,9 +18,9 @@ from prc_cli.formats.input import Input
 from prc_cli.imaging.pictures import NOT_SCORED_COLOUR
 from prc_cli.jobs.classify import classify, label_blocks, open_stream
 from prc_cli.jobs.render import RenderOptions, render
-from prc_cli.jobs.render.colours import LABEL_TABLE, RecordClasses, Vocabulary
+from prc_cli.jobs.render.colours import RecordClasses
 from prc_cli.jobs.render.scan import draw_scan
-from prc_cli.jobs.render.viewer import _Kept, render_viewer
+from prc_cli.jobs.render.viewer import render_viewer
 from prc_cli.jobs.simulate import Beside, simulate
 from prc_cli.simulation.settings import load_settings
 from tests.imaging.test_pictures import decoded
@@ -69,24 +69,6 @@ def labels_of(source: Path, config: LoadedConfig) -> U8:
             for i in label_blocks(open_stream(source, config).blocks(), config.config.classifier)
         ]
     )
-
-
-def test_the_whole_drive_shows_every_class_where_it_is(
-    drive: Path, urban: LoadedConfig, tmp_path: Path
-) -> None:
-    drawing = draw_scan(Input.of(drive), urban, RenderOptions(steps=("range", "classes")), tmp_path)
-    panels = drawing.panels
-    labels = labels_of(drive, urban)
-    colours = np.array([LABEL_COLOURS[label] for label in Label], np.uint8)
-    assert np.array_equal(panels[1].picture, colours[labels])
-    assert drawing.counts == {
-        label.name.lower(): n for label in Label if (n := int((labels == label).sum()))
-    }
-    assert drawing.thinned_by == (1, 1)
-    shares = {text.split()[0]: text for text, _ in panels[1].key}
-    seen = labels[labels != Label.MISSING]
-    assert shares["ground"] == f"ground {100 * (seen == Label.GROUND).mean():.1f} %"
-    assert shares["no"].startswith("no return")
 
 
 def test_returns_that_are_not_scored_are_not_drawn_as_missing(
@@ -174,17 +156,6 @@ def test_labels_of_another_length(
     ):
         render(source, tmp_path / "a.png", urban, chosen)
     assert not (tmp_path / "a.png").exists()
-
-
-@pytest.mark.parametrize(("n", "end"), [(8, "207"), (9, "207, ...")])
-def test_eight_codes_without_a_class_are_named(n: int, end: str) -> None:
-    words = Vocabulary(LABEL_TABLE, None, ClassCodes())
-    codes = np.repeat(np.arange(200, 200 + n), 3)
-    with pytest.raises(
-        InputError, match=f"found {3 * n} records with codes that are none of .classes.: 200, 201, "
-    ) as said:
-        words.turn(codes, "predicted")
-    assert said.value.problem.endswith(end)
 
 
 def test_cells_without_a_record_have_no_class() -> None:
@@ -279,16 +250,3 @@ def test_poses_place_the_shots_of_a_leaning_scanner(tmp_path: Path) -> None:
     apart = apart[np.isfinite(apart).all(axis=1)]
     assert len(apart) > 10_000
     assert np.abs(apart - np.median(apart, axis=0)).max() < 0.05
-
-
-def test_what_only_some_blocks_have_is_not_shown() -> None:
-    kept = _Kept.__new__(_Kept)
-    kept.parts = {
-        "range": [np.ones(3), np.ones(2)],
-        "time": [np.ones(3)],
-        "class": [np.ones(3), np.zeros(2)],
-    }
-    assert kept.take("time") is None
-    column = kept.take("class")
-    assert column is not None
-    assert column.tolist() == [1, 1, 1, 0, 0]

@@ -15,7 +15,6 @@ from prc_cli.core.blocks import join
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import LabelledBlock, ScanBlock
-from prc_cli.formats.labels import open_codes
 from prc_cli.jobs.classify import open_stream
 from prc_cli.jobs.simulate import Beside, simulate
 from prc_cli.simulation.settings import Kind, Settings, load_settings, open_simulation
@@ -31,12 +30,6 @@ def small(kind: Kind, **options: Any) -> Settings:
     if kind == "street-scan":
         table["scanner"] = {"points_per_line": 120, "azimuth_step_deg": 360 / LINES}
     return load_settings(kind, options=table | options)
-
-
-def several_returns() -> Settings:
-    return small(
-        "street", scanner={"name": "profiler-1mhz", "points_per_line": 500, "line_hz": 20.0}
-    )
 
 
 def config(path: Path, preset: str | None = None, **inputs: Any) -> LoadedConfig:
@@ -75,27 +68,6 @@ def test_neither_blocks_nor_threads_change_anything(
     assert [item.block.is_last for item in items] == [False] * (len(items) - 1) + [True]
     with pytest.raises(ConfigError, match="found 0, expected at least 1 line"):
         next(scan.blocks(0))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".laz", ".csv"])
-def test_further_returns_have_their_classes_at_their_records(tmp_path: Path, suffix: str) -> None:
-    out = tmp_path / f"a{suffix}"
-    labels = tmp_path / "labels.npy"
-    simulate("street", out, several_returns(), beside=Beside(labels=labels))
-    items = list(open_simulation("street", several_returns()).scan.labelled_blocks())
-    block, truth = whole(items)
-    further = np.concatenate([item.extra_labels for item in items])
-    after = read(out)
-    assert same(np.sort(after.extra.range_m), np.sort(block.extra.range_m))
-    codes = np.load(labels)
-    lookup = ClassCodes().lookup()
-    record = after.records()
-    there = ~np.isnan(block.range_m[:, : after.points_per_line])
-    assert same(codes[record[there]], lookup[truth[:, : after.points_per_line][there]])
-    order = np.lexsort((after.extra.range_m, after.extra.column, after.extra.line))
-    assert same(codes[after.extra.record[order]], lookup[further])
-    assert same(np.concatenate(list(open_codes(out).codes())), codes)
 
 
 @pytest.mark.slow

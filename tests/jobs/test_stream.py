@@ -15,10 +15,8 @@ from prc_cli.core.errors import EvidenceError, InputError
 from prc_cli.core.findings import CHECK_NAMES, Finding
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32
-from prc_cli.core.window import Window
 from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.classify import classify
-from prc_cli.jobs.progress import share_done
 from prc_cli.jobs.stream import stream
 from prc_cli.streams.evidence.watch import LiveFindings, evidence_of, watched_live
 from prc_cli.streams.stream import Stream
@@ -193,22 +191,3 @@ def test_every_way_gives_the_same_bytes(tmp_path: Path, seed: int) -> None:
     sink = SlowSink(rng)
     stream(Dribble(shots.tobytes(), rng), sink, config)
     np.testing.assert_array_equal(np.frombuffer(bytes(sink.data), np.uint8), whole)
-
-
-INFO = StreamInfo("d.npy", "array", 8, 640, 80)
-
-
-def block(first: int, n_lines: int = 20) -> ScanBlock:
-    return ScanBlock(first, np.zeros((n_lines, 8), np.float32))
-
-
-@pytest.mark.parametrize(
-    ("window", "share"),
-    [
-        (Window("", True, 10, 50), 0.75),
-        (Window("", True, 10), None),
-        (Window("", False, 1.0, 2.0), None),
-    ],
-)
-def test_the_share_of_a_window(window: Window, share: float | None) -> None:
-    assert share_done(block(20), INFO, window) == share

@@ -19,6 +19,7 @@ from prc_cli.formats.bags.containers import Bag
 from prc_cli.formats.bags.labels import CloudCodec
 from prc_cli.formats.input import Input
 from prc_cli.jobs.thin import parse_rules, thin
+from tests.formats import cloud_files
 from tests.formats.bags.test_labels import WRITE, read_codes, recorded
 from tests.jobs.test_thin import frame
 
@@ -130,52 +131,24 @@ def test_without_classes_a_frame_is_classified_on_the_way(tmp_path: Path) -> Non
 @pytest.mark.parametrize("suffix", [".ply", ".pcd"])
 def test_points_of_frames_keep_their_times_and_rings(tmp_path: Path, suffix: str) -> None:
     points = frame(tmp_path / "f.bin")
-    kinds = [
-        ("x", "<f4"),
-        ("y", "<f4"),
-        ("z", "<f4"),
-        ("intensity", "<f4"),
-        ("ring", "<u2"),
-        ("time", "<f8"),
-    ]
-    rows = np.zeros(len(points), kinds)
-    for axis, name in enumerate(("x", "y", "z", "intensity")):
-        rows[name] = points[:, axis]
-    rows["ring"] = np.round(
-        (2.0 - np.rad2deg(np.arcsin(rows["z"] / np.linalg.norm(points[:, :3], axis=1)))) / 2.0
-    )
-    rows["time"] = np.linspace(0.0, 0.1, len(rows))
-    rows["x"][7] = np.nan
-    types = {"<f4": "float", "<u2": "ushort", "<f8": "double"}
-    if suffix == ".ply":
-        head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
-        head += [f"property {types[kind]} {name}" for name, kind in kinds] + ["end_header\n"]
-    else:
-        names = " ".join(name for name, _ in kinds)
-        sizes = " ".join(kind[2] for _, kind in kinds)
-        head = [
-            "VERSION 0.7",
-            f"FIELDS {names}",
-            f"SIZE {sizes}",
-            "TYPE F F F F U F",
-            "COUNT 1 1 1 1 1 1",
-        ]
-        head += [f"WIDTH {len(rows)}", "HEIGHT 1", f"POINTS {len(rows)}", "DATA binary\n"]
+    xyz = points[:, :3]
+    elevation_deg = np.rad2deg(np.arcsin(xyz[:, 2] / np.linalg.norm(xyz, axis=1)))
+    columns = dict(zip(("x", "y", "z", "intensity"), points.T.copy(), strict=True))
+    columns["ring"] = np.round((2.0 - elevation_deg) / 2.0).astype("<u2")
+    columns["time"] = np.linspace(0.0, 0.1, len(points))
+    columns["x"][7] = np.nan
     source = tmp_path / f"f{suffix}"
-    source.write_bytes("\n".join(head).encode() + rows.tobytes())
-    codes = np.where(np.arange(len(rows)) % 3 == 0, 5, 2).astype(np.uint8)
+    source.write_bytes((cloud_files.ply if suffix == ".ply" else cloud_files.pcd)(columns))
+    codes = np.where(np.arange(len(points)) % 3 == 0, 5, 2).astype(np.uint8)
     np.save(tmp_path / "labels.npy", codes)
     thin(source, tmp_path / f"thin{suffix}", GROUND, labels=tmp_path / "labels.npy")
-    left = (codes == 2) & ~np.isnan(rows["x"])
+    left = (codes == 2) & ~np.isnan(columns["x"])
     thinned = Input.of(tmp_path / f"thin{suffix}").records()
     assert thinned is not None
-    assert set(thinned.dimensions) == {*(name for name, _ in kinds), "class"}
-    thinned_values = {
-        name: np.concatenate([chunk.values[name] for chunk in thinned.chunks((name,))])
-        for name, _ in kinds
-    }
-    for name, values in thinned_values.items():
-        np.testing.assert_array_equal(values, rows[name][left])
+    assert set(thinned.dimensions) == {*columns, "class"}
+    for name, column in columns.items():
+        values = [chunk.values[name] for chunk in thinned.chunks((name,))]
+        np.testing.assert_array_equal(np.concatenate(values), column[left])
 
 
 @pytest.mark.parametrize("suffix", WRITE)

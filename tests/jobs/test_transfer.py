@@ -5,9 +5,7 @@ Correct classes, all else unchanged, errors.
 
 from __future__ import annotations
 
-import gzip
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import laspy
@@ -16,10 +14,8 @@ import pytest
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError, PrcError
-from prc_cli.jobs.transfer import TransferSummary, sides, transfer
+from prc_cli.jobs.transfer import TransferSummary, transfer
 from prc_cli.jobs.transfer.options import TransferOptions
-from prc_cli.matching.keys import KeyRule
-from prc_cli.matching.sides import Survey
 from tests.formats.las.lasbytes import parse
 
 N = 5000
@@ -204,29 +200,6 @@ def test_points_without_partner_keep_their_class(drive: Drive, tmp_path: Path) -
     assert drive.time[record][kept].min() >= drive.time[record][~kept].max()
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".parquet", ".las"])
-def test_every_kind_of_labels_gives_the_same(drive: Drive, tmp_path: Path, suffix: str) -> None:
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    record = drive.registered()
-    raw = write_raw(tmp_path / "drive.csv", drive)
-    codes = np.load(raw.with_suffix(".npy"))
-    labels = tmp_path / f"labels{suffix}"
-    if suffix == ".parquet":
-        parquet.write_table(pa.table({"record": np.arange(len(codes)), "class": codes}), labels)
-    elif suffix == ".las":
-        write_las(labels, drive, np.arange(len(drive)), codes=drive.codes)
-    else:
-        text = "record,class,name\n" + "".join(f"{i},{code},x\n" for i, code in enumerate(codes))
-        labels.write_bytes(
-            gzip.compress(text.encode()) if suffix.endswith(".gz") else text.encode()
-        )
-    registered = write_las(tmp_path / "registered.las", drive, record)
-    transfer(labels, registered, tmp_path / "out.las", points=None if suffix == ".las" else raw)
-    assert np.array_equal(codes_of(tmp_path / "out.las"), drive.codes[record])
-
-
 # --- keys
 
 
@@ -364,31 +337,6 @@ def test_no_time_on_either_side(drive: Drive, tmp_path: Path) -> None:
     refused(
         tmp_path, "contains only classes.*--points RAW", labels, registered, tmp_path / "out.las"
     )
-
-
-@pytest.mark.parametrize(
-    ("times", "overlaps"),
-    [((3.0, 5.0), True), ((-5.0, -2.0), True), ((3.1, 5.0), False), ((-5.0, -2.1), False)],
-)
-def test_times_overlap_where_they_touch_within_the_tolerance(
-    times: tuple[float, float], overlaps: bool
-) -> None:
-    """Labels from -1 to 2 s, with a tolerance of 1 s."""
-    labels = Survey(9, 9, -1.0, 2.0, True)
-    points = Survey(9, 9, *times, True)
-    named = SimpleNamespace(path="drive.las")
-    made = sides.TransferSides(
-        named,  # type: ignore[arg-type]
-        named,  # type: ignore[arg-type]
-        KeyRule("time"),
-        (labels, points),
-        1.0,
-    )
-    if overlaps:
-        sides._refuse_apart(made, TransferOptions())
-    else:
-        with pytest.raises(InputError, match="from -1 to 2: they do not overlap"):
-            sides._refuse_apart(made, TransferOptions())
 
 
 # --- a real street

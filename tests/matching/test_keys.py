@@ -73,31 +73,6 @@ def by_hand(left: Columns, right: Columns, tolerance: float) -> set[tuple[int, i
     return pairs
 
 
-KEYS = st.lists(st.integers(0, 40).map(lambda k: k / 4), max_size=40)
-
-
-@given(
-    left=KEYS,
-    right=KEYS,
-    tolerance=st.sampled_from([0.0, 0.25, 0.3, 1.0, 5.0]),
-    seed=st.integers(0, 99),
-)
-def test_keys(
-    left: list[float],
-    right: list[float],
-    tolerance: float,
-    seed: int,
-) -> None:
-    left_columns = keyed(left)
-    right_columns = keyed(right)
-    tally = JoinTally()
-    pairs = pairs_of(
-        join_by_key(cut(left_columns, seed), cut(right_columns, seed + 1), tolerance, tally)
-    )
-    assert pairs == by_hand(left_columns, right_columns, tolerance)
-    assert tally.n_pairs == tally.n_right == len(pairs)
-
-
 @given(data=st.data(), n=st.integers(0, 30), m=st.integers(0, 30), seed=st.integers(0, 99))
 def test_keys_return_numbers_and_classes(
     data: st.DataObject,

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
-from prc_cli.core.classes import Label
 from prc_cli.core.types import F64
 from prc_cli.simulation.sensor import cast
 from prc_cli.simulation.thresholds import Hits
 from prc_cli.simulation.world import Bodies, Shape
 
 FLOOR = (Shape.TRIANGLE, [-50, -50, -2, 50, -50, -2, 0, 90, -2])
+POST = (Shape.CONE, [10, 0, -3, 10, 0, 3, 0.5, 0.5])
 
 
 def world(
@@ -76,16 +74,16 @@ def profile(
         (FLOOR, (0, 0, 0), (0, 1, -1), 2.0 * np.sqrt(2), np.sqrt(0.5)),
         (FLOOR, (0, 0, 0), (0, 0, 1), np.inf, 0.0),
         (FLOOR, (0, 0, -2), (0, 1, 0), np.inf, 0.0),  # along it
-        ((Shape.CONE, [10, 0, -3, 10, 0, 3, 0.5, 0.5]), (0, 0, 0), (1, 0, 0), 9.5, 1.0),
+        (POST, (0, 0, 0), (1, 0, 0), 9.5, 1.0),
         (
-            (Shape.CONE, [10, 0, -3, 10, 0, 3, 0.5, 0.5]),
+            POST,
             (10, 0, 0),
             (1, 0, 0),
             0.5,
             1.0,
         ),  # from inside
         (
-            (Shape.CONE, [10, 0, -3, 10, 0, 3, 0.5, 0.5]),
+            POST,
             (10, 0, 9),
             (0, 0, -1),
             np.inf,
@@ -150,42 +148,3 @@ def test_no_shot_leaves_a_closed_room(slant_rad: float, roll_rad: float) -> None
     np.testing.assert_allclose(hits.t, as_box.t)
     np.testing.assert_allclose(hits.facing, as_box.facing, atol=1e-12)
     assert np.isfinite(hits.t).all()
-
-
-def leafy() -> Bodies:
-    crowns = [(Shape.ELLIPSOID, [0, y, z, 3, 2, 2, 0.3]) for y in (-9, -5, 5, 9) for z in (0, 3)]
-    return world(*crowns, (Shape.BOX, [0, 3, -1, 40, 0.5, 1, 0]), density=1.0)
-
-
-def test_hits_do_not_depend_on_how_lines_are_cut_into_blocks() -> None:
-    origin, direction, time = profile(6)
-    whole = cast(leafy(), origin, direction, time, first_shot=10**12)
-    for i in range(6):
-        part = slice(i, i + 1)
-        line = cast(leafy(), origin[part], direction[part], time[part], first_shot=10**12 + i * 720)
-        for name in ("t", "body", "facing"):
-            np.testing.assert_array_equal(getattr(line, name), getattr(whole, name)[part])
-    assert 0.2 < np.isfinite(whole.t).mean() < 0.9
-
-
-LINES = 400
-
-
-def hits(
-    t: Any,
-    body: Any = 0,
-    facing: Any = 1.0,
-    lines: int = LINES,
-    columns: int = 100,
-) -> Hits:
-    """Hits of which each number may be given for all, or by column."""
-    shape = (lines, columns)
-    number = np.broadcast_to(np.asarray(body, dtype=np.int32), shape).copy()
-    t = np.where(number < 0, np.inf, np.broadcast_to(np.asarray(t, dtype=np.float64), shape))
-    return Hits(t, number, np.broadcast_to(np.asarray(facing, dtype=np.float64), shape).copy())
-
-
-def test_the_loop_reads_the_labels_that_are_meant() -> None:
-    from prc_cli.simulation import sensor_loops as loops
-
-    assert (loops.LABEL_MISSING, loops.LABEL_NOISE) == (Label.MISSING, Label.NOISE)

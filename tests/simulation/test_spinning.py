@@ -88,15 +88,6 @@ def test_what_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "line_hz", "points"),
-    [("photon-80", 48.0, 2154), ("focus3d-120", 97.0, 4270), ("profiler-1mhz", 200.0, 5000)],
-)
-def test_profilers_have_the_published_rates(name: str, line_hz: float, points: int) -> None:
-    scanner = SCANNERS[name]
-    assert (scanner.line_hz, scanner.points_per_line) == (line_hz, points)
-
-
-@pytest.mark.parametrize(
     "values",
     [
         {"max_range_m": 0.5},
@@ -110,8 +101,3 @@ def test_profilers_have_the_published_rates(name: str, line_hz: float, points: i
 def test_senseless_values_are_refused(values: dict[str, object]) -> None:
     with pytest.raises(ValidationError):
         SCANNERS["photon-80"].changed(**values)
-
-
-def test_a_slant_of_a_head_that_turns_is_refused() -> None:
-    with pytest.raises(ConfigError, match="slant_deg"):
-        load_settings("street", options={"scanner": {"name": "hdl-64e", "slant_deg": 30.0}})

@@ -10,8 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, closing, suppress
-from dataclasses import dataclass
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -29,7 +28,7 @@ from prc_cli.jobs.batch.engine import EngineSettings, Event, Progress, Started
 from prc_cli.jobs.batch.outcomes import Done, Failed, Problem
 from prc_cli.jobs.batch.types import Task
 from prc_cli.jobs.classify import classify, load_classifier
-from tests import patience
+from tests.faults.machines import Machines
 from tests.patience import HANGS_S, wait_until
 from tests.street import write_endless
 
@@ -237,32 +236,6 @@ def test_without_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quie
             run(DaskEngine(address), tasks)
 
 
-def test_an_outcome_that_died_with_its_worker_is_waited_for(cluster: Any, tmp_path: Path) -> None:
-    """The scheduler gives the file out again; after a few times it has failed."""
-    (task,) = tasks_in(tmp_path, {"a.npy": 20})
-
-    class Lost:
-        status = "finished"
-        n_callbacks = 0
-
-        def result(self, timeout: float) -> Any:
-            raise TimeoutError
-
-        def add_done_callback(self, call: Any) -> None:
-            self.n_callbacks += 1
-
-    with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
-        engine = dask_engine._ClusterRun(client, "tcp://a", EngineSettings(), print)
-        future = Lost()
-        engine._pending["key"] = dask_engine._Job(task, future)
-        for _ in range(dask_engine.FETCHES - 1):
-            assert list(engine._on_result("key")) == []
-        assert (future.n_callbacks, [*engine._pending]) == (dask_engine.FETCHES - 1, ["key"])
-        _, failed = engine._on_result("key")
-        assert isinstance(failed, Failed)
-        assert (failed.problem.kind, engine._pending) == ("killed", {})
-
-
 def test_what_a_dead_worker_left_is_removed_with_the_outcome(cluster: Any, tmp_path: Path) -> None:
     """It may have been alive yet when the second worker looked for what the first one left."""
     (task,) = tasks_in(tmp_path, {"a.npy": 20})
@@ -293,101 +266,28 @@ def test_what_a_dead_worker_left_is_removed_with_the_outcome(cluster: Any, tmp_p
     assert not left.exists()
 
 
-@dataclass
-class Machines:
-    """A scheduler and workers that were started by themselves."""
-
-    address: str
-    client: Any
-    scheduler: subprocess.Popen[bytes]
-
-
-@pytest.fixture
-def machines(tmp_path: Path, quiet: None, request: pytest.FixtureRequest) -> Iterator[Machines]:
-    """``dask scheduler`` and twice ``dask worker`` on loopback.
-
-    Nobody starts a killed worker again.
-    """
-    environment = {
-        **os.environ,
-        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": str(getattr(request, "param", 3)),
-        "DASK_LOGGING__DISTRIBUTED": "critical",
-    }
-    scheduler_file = tmp_path / "scheduler.json"
-    dask = [
-        sys.executable,
-        "-m",
-        "distributed.cli.dask_scheduler",
-        "--host",
-        "127.0.0.1",
-        "--port",
-        "0",
-    ]
-    work = [
-        sys.executable,
-        "-m",
-        "distributed.cli.dask_worker",
-        "--scheduler-file",
-        str(scheduler_file),
-        "--nthreads",
-        "1",
-    ]
-    commands = [
-        [*dask, "--scheduler-file", str(scheduler_file), "--no-dashboard"],
-        *(
-            [*work, "--no-dashboard", "--no-nanny", "--local-directory", str(tmp_path / f"w{i}")]
-            for i in range(2)
-        ),
-    ]
-    with ExitStack() as stack:
-        started = []
-        for command in commands:
-            process = patience.popen(
-                command,
-                env=environment,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                start_new_session=True,
-            )
-            stack.callback(end, process)
-            started.append(process)
-        client = distributed.Client(
-            scheduler_file=str(scheduler_file), timeout=HANGS_S, set_as_default=False
-        )
-        stack.callback(client.close)
-        client.wait_for_workers(2, timeout=HANGS_S)
-        yield Machines(client.scheduler.address, client, started[0])
-
-
-def end(process: subprocess.Popen[bytes]) -> None:
-    """End a process and those that it started."""
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGTERM)
-    with suppress(subprocess.TimeoutExpired):
-        process.wait(5)
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-
-
 @pytest.mark.skipif(os.name != "posix", reason="signals")
-def test_worker_killed_in_mid_run(machines: Machines, tmp_path: Path) -> None:
+def test_worker_killed_in_mid_run(tmp_path: Path, quiet: None) -> None:
     """Separately started scheduler and workers; one is killed while it has a file."""
     lines = {"first.npy": 20_000, **{f"{i}.npy": 300 for i in range(4)}, "last.npy": 2400}
     tasks = tasks_in(tmp_path, lines, m=100)
-    pids = machines.client.run(os.getpid)
     owner: dict[str, str] = {}
     killed: list[str] = []
     events: list[Event] = []
-    engine = DaskEngine(machines.address)
-    with closing(stream := engine.run(iter(tasks), EngineSettings())):  # type: ignore[type-var]
-        for event in stream:
-            events.append(event)
-            if isinstance(event, Started):
-                owner[event.name] = event.worker
-            if isinstance(event, Progress) and event.name == "first.npy" and not killed:
-                killed.append(owner["first.npy"])
-                os.kill(pids[killed[0]], signal.SIGKILL)
+    with Machines(tmp_path) as machines:
+        machines.start()
+        with distributed.Client(machines.address, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=HANGS_S)
+            pids = client.run(os.getpid)
+        stream = DaskEngine(machines.address).run(iter(tasks), EngineSettings())
+        with closing(stream):  # type: ignore[type-var]
+            for event in stream:
+                events.append(event)
+                if isinstance(event, Started):
+                    owner[event.name] = event.worker
+                if isinstance(event, Progress) and event.name == "first.npy" and not killed:
+                    killed.append(owner["first.npy"])
+                    os.kill(pids[killed[0]], signal.SIGKILL)
     results = outcomes(events)
     assert killed
     assert set(results) == set(lines)
@@ -397,17 +297,3 @@ def test_worker_killed_in_mid_run(machines: Machines, tmp_path: Path) -> None:
     assert len(
         [name for name in left_in(tmp_path / "out") if not name.endswith(".part")]
     ) == 2 * len(tasks)
-
-
-def test_lines_are_reported_once_whatever_attempt_comes_to_them(tmp_path: Path) -> None:
-    (task,) = tasks_in(tmp_path, {"a.npy": 3})
-    client: Any = SimpleNamespace(subscribe_topic=lambda *_: None)
-    watch = dask_engine._ClusterRun(client, "tcp://x", EngineSettings(), lambda _: None)
-    watch._pending["k"] = dask_engine._Job(task, None)
-    reports = [("first", 5), ("first", 8), ("second", 3), ("second", 9)]
-    n_lines = [
-        event
-        for worker, n in reports
-        for event in watch._on_event(dask_engine.LINES, "k", worker, n)
-    ]
-    assert n_lines == [Progress("a.npy", 5), Progress("a.npy", 3), Progress("a.npy", 1)]

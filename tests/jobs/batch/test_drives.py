@@ -22,7 +22,7 @@ from prc_cli.jobs.batch.types import OWN_FOLDER, BatchSettings, ConfigLayers, Sh
 from prc_cli.jobs.batch.worker import run_item
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.drive import classify_drive
-from tests.jobs.test_drive import CUTS, URBAN, WITH_M, cut_laz, cut_raw
+from tests.jobs.test_drive import CUTS, WITH_M, cut_raw
 from tests.street import POINTS_PER_LINE
 
 LAYERS = ConfigLayers(
@@ -148,34 +148,6 @@ def test_a_drive_whose_worker_died_is_done_again_as_a_whole(settings: BatchSetti
     assert {entry.state for entry in read_entries(settings.out / OWN_FOLDER)} == {"done"}
 
 
-def test_streams_before_a_gap_stay_where_a_later_one_fails(tmp_path: Path) -> None:
-    (tmp_path / "in").mkdir()
-    cut_laz(tmp_path / "in", gap_s=7.0)[0].unlink()
-    (tmp_path / "in" / "drive.npz").unlink(missing_ok=True)
-    settings = BatchSettings(
-        tmp_path / "in",
-        tmp_path / "out",
-        config=ConfigLayers(preset="prc-2019-urban"),
-        drives=("drive_?.laz",),
-    )
-    summary = run_batch(settings, Here())
-    assert summary.exit_code == 0
-    assert any(
-        "a stream of its own begins with this file" in notice for notice in summary.done[2].notices
-    )
-    parts = sorted((tmp_path / "in").glob("*.laz"))
-    list(classify_drive(parts, tmp_path / "once", URBAN))
-    for part in parts:
-        assert (tmp_path / "out" / part.name).read_bytes() == (
-            tmp_path / "once" / part.name
-        ).read_bytes()
-    last = tmp_path / "in" / "drive_2.laz"
-    last.write_bytes(last.read_bytes()[:-40_000])
-    again = run_batch(settings, Here())
-    assert [done.name for done in again.done] == []
-    assert {failed.name for failed in again.failed} == {part.name for part in parts}
-
-
 def test_drives_are_selected_as_a_whole(settings: BatchSettings) -> None:
     for i in range(4):
         (settings.archive / f"a_{i}.bin").write_bytes(b"\0" * 4)
@@ -202,12 +174,6 @@ def test_files_of_one_drive_need_one_configuration(settings: BatchSettings, tmp_
     plan = plan_batch(replace(settings, config=replace(LAYERS, path=config)))[0]
     assert [failed.name for failed in plan.refused] == [f"drive_{i}.bin" for i in range(3)]
     assert "has another configuration than drive_0.bin" in str(plan.refused[0].problem)
-
-
-def test_labels_alone_come_out_of_dumps(settings: BatchSettings) -> None:
-    summary = run_batch(replace(settings, to="laz"), Here())
-    assert all("gets only labels" in failed.problem.problem for failed in summary.failed)
-    assert run_batch(replace(settings, to="csv"), Here()).exit_code == 0
 
 
 def test_parts_are_numbered_by_the_last_wildcards() -> None:

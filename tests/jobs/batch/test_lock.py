@@ -66,18 +66,6 @@ def line_of(process: subprocess.Popen[str]) -> str:
     return process.stdout.readline().rstrip("\n")
 
 
-def test_a_lock_is_held_and_released(folder: Path) -> None:
-    with Lock(folder) as lock:
-        (holder,) = holders(folder)
-        assert holder.alive
-        assert holder.owner == lock.owner
-        assert holder.owner.pid == os.getpid()
-        lock.check()
-        assert lock.inherited_from is None
-    assert os.listdir(folder) == []
-    assert holders(folder) == []
-
-
 def test_a_second_run_is_told_who_is_at_work(folder: Path) -> None:
     with Lock(folder), pytest.raises(BusyError) as caught, Lock(folder):
         pass
@@ -128,32 +116,21 @@ def test_runs_with_files_in_common_exclude_each_other(
 
 
 @pytest.mark.slow
-def test_the_lock_of_a_killed_process_is_free_at_once(folder: Path) -> None:
-    with held_by_another_process(folder) as process:
-        assert line_of(process) == "held"
-        with pytest.raises(BusyError, match=f"process {process.pid}"), Lock(folder):
-            pass
-        process.kill()
-        # not asked for its exit code yet: the lock does not wait for that
-        wait_until(lambda: not holders(folder)[0].alive)
-        with Lock(folder) as lock:
-            assert lock.inherited_from is not None
-            assert lock.inherited_from.pid == process.pid
-            lock.check()
-    assert os.listdir(folder) == []
-
-
-@pytest.mark.slow
 def test_workers_do_not_keep_the_lock_of_their_parent(folder: Path) -> None:
     """Files of the parent are not open in its children, so its lock ends with it."""
     with held_by_another_process(folder, "with a child") as process:
         child = int(line_of(process))
         assert line_of(process) == "held"
+        with pytest.raises(BusyError, match=f"process {process.pid}"), Lock(folder):
+            pass
         process.kill()
         wait_until(lambda: not holders(folder)[0].alive)
         os.kill(child, 0)  # it still runs
         with Lock(folder) as lock:
             assert lock.inherited_from is not None
+            assert lock.inherited_from.pid == process.pid
+            lock.check()
+    assert os.listdir(folder) == []
 
 
 @pytest.mark.parametrize("event", ["taken over", "removed"])

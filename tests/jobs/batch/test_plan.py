@@ -112,14 +112,6 @@ def test_a_change_that_keeps_size_and_time_is_found_by_verify(settings: BatchSet
     assert reasons(plan_of(replace(settings, verify=True), known))["a.npz"] == "changed input"
 
 
-def test_what_a_killed_run_left_is_done_again_over_its_output(settings: BatchSettings) -> None:
-    known = entry(settings, "a.npz", "running")
-    output(settings, "a.npz").write_bytes(b"renamed just before the kill")
-    plan = plan_of(settings, known)
-    assert reasons(plan)["a.npz"] == "unfinished"
-    assert plan.todo[0].task.overwrite
-
-
 def test_an_output_that_no_journal_knows_is_not_touched(settings: BatchSettings) -> None:
     output(settings, "a.npz").write_bytes(b"by hand")
     plan = plan_of(settings)
@@ -350,16 +342,6 @@ def test_odd_names(tmp_path: Path) -> None:
     assert all(item.path.is_file() for item in files)
     assert names(tmp_path / "in", include=("a?b.laz",)) == ["a\nb.laz"]
     assert names(tmp_path / "in", include=("latin?.laz",)) == ["latin\udce9.laz"]
-
-
-@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root reads everything")
-def test_a_folder_without_permission_is_told(archive: Path) -> None:
-    (archive / "a").chmod(0)
-    try:
-        assert names(archive) == ["b.laz", "z.npz"]
-        assert "Permission denied" in left_out(archive)["a/"]
-    finally:
-        (archive / "a").chmod(0o755)
 
 
 def test_since(archive: Path) -> None:

@@ -10,11 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from prc_cli.core.errors import BusyError, ConfigError, InputError, PrcError
-from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
+from prc_cli.core.findings import Finding, Verdict
 from prc_cli.jobs.batch import run as batch_run
 from prc_cli.jobs.batch.engine import EngineSettings, Event, Started
 from prc_cli.jobs.batch.journal import read_entries, read_runs
@@ -116,6 +115,7 @@ def test_a_second_run_has_nothing_to_do(settings: BatchSettings) -> None:
     [
         ("InputError", 5, 1),
         ("ConfigError", 5, 1),
+        ("EvidenceError", 5, 1),
         ("OutputExistsError", 5, 1),
         ("ValueError", 5, 1),
         ("killed", 0, 2),
@@ -307,38 +307,6 @@ def test_the_exit_code_is_that_of_the_archive(settings: BatchSettings) -> None:
             done,
             0 if config is accepting else 4,
         )
-
-
-def test_evidence_against_a_file_fails_it_and_doubts_can_be_accepted(tmp_path: Path) -> None:
-    archive = tmp_path / "in"
-    archive.mkdir()
-    image = street()
-    wide = np.full((len(image), 18000), np.nan, np.float32)
-    wide[:, :180] = image
-    write_npz(archive / "good.npz", image)
-    np.save(archive / "shuffled.npy", np.random.default_rng(3).permuted(image, axis=1))
-    np.save(archive / "thin.npy", wide)  # one shot of a hundred has a range
-    settings = BatchSettings(archive, tmp_path / "out", jobs=1, drift=False, retry=3)
-    summary = run_batch(settings, Scripted(work))
-    assert [(item.name, item.problem.kind) for item in summary.failed] == [
-        ("shuffled.npy", "EvidenceError")
-    ]
-    assert {(doubt.name, doubt.check) for doubt in summary.doubts} == {
-        ("thin.npy", "returns"),
-        ("thin.npy", "method"),
-    }
-    assert {entry.name: entry.attempts for entry in read_entries(settings.out / OWN_FOLDER)}[
-        "shuffled.npy"
-    ] == 1
-    assert summary.exit_code == 1
-    accepting = ConfigLayers(options={"input": {"accept_doubts": CHECK_NAMES}})
-    accepted = run_batch(replace(settings, config=accepting), Scripted(work))
-    # only those that have one are done again
-    assert ([item.name for item in accepted.done], accepted.exit_code) == (
-        ["shuffled.npy", "thin.npy"],
-        0,
-    )
-    assert (accepted.failed, accepted.doubts) == ((), ())
 
 
 @pytest.mark.parametrize("damage", ["cut", "overwritten", "link"])

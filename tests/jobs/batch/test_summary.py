@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import math
 import re
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +15,7 @@ import prc_cli.core.errors
 import prc_cli.jobs.batch
 from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes
-from prc_cli.core.errors import ConfigError, ExitCode
+from prc_cli.core.errors import ExitCode
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.scores import GateResult
 from prc_cli.jobs.batch.drift import Alarm, drift
@@ -28,7 +25,6 @@ from prc_cli.jobs.batch.report import BatchSummary, write_summary
 from prc_cli.jobs.batch.run import run_batch
 from prc_cli.jobs.batch.types import BatchSettings, ConfigLayers, ReferenceSettings, Shard
 from prc_cli.jobs.classify import classify_ranges
-from prc_cli.jobs.thin import _check_lines
 from tests.street import street, write_npz
 
 
@@ -145,21 +141,10 @@ def subclasses(kind: type[BaseException]) -> set[str]:
 def kinds_in_code() -> set[str]:
     """First arguments of ``Problem(...)``: literals, and names of constants of the package."""
     room = Path(prc_cli.jobs.batch.__path__[0])
-    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in room.glob("*.py")]
-    nodes = [node for tree in trees for node in ast.walk(tree)]
-    constants: dict[str, str] = {}
-    for node in nodes:
-        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant):
-            constants[ast.unparse(node.targets[0])] = str(node.value.value)
-    kinds = set()
-    for node in nodes:
-        if isinstance(node, ast.Call) and ast.unparse(node.func) == "Problem" and node.args:
-            kind = node.args[0]
-            if isinstance(kind, ast.Constant):
-                kinds.add(str(kind.value))
-            elif isinstance(kind, ast.Name) and kind.id in constants:
-                kinds.add(constants[kind.id])
-    return kinds
+    text = "".join(path.read_text(encoding="utf-8") for path in room.glob("*.py"))
+    constants = dict(re.findall(r'^(\w+) = "(\w+)"', text, re.MULTILINE))
+    kinds = re.findall(r'\bProblem\(\s*(?:"(\w+)"|(\w+))', text)
+    return {literal or constants[name] for literal, name in kinds if literal or name in constants}
 
 
 def test_every_error_of_the_package_has_its_entry() -> None:
@@ -222,47 +207,3 @@ def test_a_kind_of_drive_that_was_there_is_not_odd(
     for alike, expected in ((149, is_odd), (151, True)):
         earlier = files(*[600] * n_usual, *[alike] * n_alike)
         assert (drift({"GROUND": 100, "OBJECT": 900}, earlier) is not None) is expected
-
-
-def rules(**keys: Any) -> Any:
-    config = {key: keys.pop(key, None) for key in ("time_origin", "angle_start", "angle_step")}
-    usual = {
-        "lines": "angle-wrap",
-        "columns": "angle",
-        "line_hz": None,
-        "config": SimpleNamespace(**config),
-    }
-    grid = SimpleNamespace(
-        grid=SimpleNamespace(start_rad=math.radians(5.0), step_rad=math.radians(0.25))
-    )
-    times = iter([SimpleNamespace(values={"time": np.array([7.25, 8.0])})])
-    return SimpleNamespace(
-        rules=SimpleNamespace(**{**usual, **keys}),
-        setup=SimpleNamespace(
-            scanners={
-                number: SimpleNamespace(columns=angles)
-                for number, angles in enumerate((grid, SimpleNamespace(grid=None), grid))
-            }
-        ),
-        source=SimpleNamespace(chunks=lambda _: times),
-    )
-
-
-@pytest.mark.parametrize(
-    ("keys", "basis"),
-    [
-        ({"lines": "fixed"}, "the order of the records"),
-        ({"columns": "order"}, "the order of the records"),
-        ({"columns": "time"}, "the first return of its line"),
-        (None, "the records around it"),
-        ({}, None),
-        ({"columns": "time", "line_hz": 50.0}, None),
-    ],
-)
-def test_cells_that_would_move(keys: dict[str, Any] | None, basis: str | None) -> None:
-    opened: Any = SimpleNamespace(grid=None if keys is None else rules(**keys))
-    if basis is None:
-        _check_lines(Path("a.las"), opened)
-    else:
-        with pytest.raises(ConfigError, match=f"the cell of a shot depends on {basis}:"):
-            _check_lines(Path("a.las"), opened)

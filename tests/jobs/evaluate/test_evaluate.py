@@ -5,8 +5,6 @@ The same pairs and matrix as counted one by one; pictures of both.
 
 from __future__ import annotations
 
-import csv
-import gzip
 import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,17 +16,18 @@ from PIL import Image
 
 from prc_cli.config import load_config
 from prc_cli.core.errors import ConfigError, InputError, PrcError
-from prc_cli.core.types import F64, I64, Mask
+from prc_cli.core.types import I64, Mask
 from prc_cli.evaluation.confusion import ConfusionMatrix, accumulate
 from prc_cli.evaluation.html import class_colour
-from prc_cli.evaluation.mapping import ClassMapping, load_mapping
+from prc_cli.evaluation.mapping import ClassMapping
 from prc_cli.evaluation.scores import Evaluation
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.convert import convert
 from prc_cli.jobs.evaluate import evaluate_all
 from prc_cli.jobs.evaluate.counts import _worst
-from prc_cli.jobs.evaluate.options import EvaluateOptions, check_options
+from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.jobs.evaluate.pictures import class_pictures
+from tests.clouds import write_las
 from tests.street import angles, street
 
 MAPPING = ClassMapping(
@@ -69,26 +68,13 @@ class Drive:
         np.save(path, self.label.astype(np.uint8))
         return path
 
-    def write_points(self, path: Path, *, labels: bool = False) -> Path:
-        columns = {
-            "line": self.line,
-            "time_s": self.time_s,
-            "range_m": np.where(self.missing, np.nan, self.range_m),
-            **{
-                axis: np.where(self.missing, np.nan, self.xyz[:, k]) for k, axis in enumerate("xyz")
-            },
-        }
-        if labels:
-            columns["class"] = self.label
-        with gzip.open(path, "wt", newline="") as handle:
-            rows = csv.writer(handle)
-            rows.writerow(columns)
-            rows.writerows(
-                [
-                    ["" if v != v else repr(v) for v in row]
-                    for row in zip(*map(np.ndarray.tolist, columns.values()), strict=True)
-                ]
-            )
+    def write_points(self, path: Path, **more: I64) -> Path:
+        """Write an image with coordinates and times; ``more`` are further columns."""
+        named = {"range_m": self.range_m, "time_s": self.time_s, **more}
+        images = {name: column.reshape(-1, M) for name, column in named.items()}
+        images["range_m"] = np.where(self.missing.reshape(-1, M), np.nan, images["range_m"])
+        xyz = np.where(self.missing[:, None], np.nan, self.xyz)
+        np.savez(path, xyz=xyz.reshape(-1, M, 3), **images)
         return path
 
     def tiles(self) -> list[I64]:
@@ -101,46 +87,25 @@ class Drive:
         return [random.permutation(kept[side == k]) for k in range(4)]
 
     def write_tiles(self, folder: Path, crs: int | None = None, shift: float = 0.0) -> list[Path]:
-        folder.mkdir()
         paths = []
         for k, record in enumerate(self.tiles()):
-            paths.append(folder / f"tile_{k}.laz")
-            write_las(
-                paths[-1],
+            las = write_las(
+                folder / f"tile_{k}.laz",
                 self.xyz[record] + shift,
                 self.truth[record],
-                self.time_s[record],
-                record,
-                crs,
+                extra={"record": record},
+                gps_time=self.time_s[record],
             )
+            paths.append(las if crs is None else with_crs(las, crs))
         return paths
 
 
-def write_las(
-    path: Path,
-    xyz: F64,
-    classes: I64,
-    time_s: F64,
-    record: I64,
-    crs: int | None = None,
-    source: I64 | None = None,
-) -> None:
-    header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales = np.full(3, 0.001)
-    header.offsets = np.floor(xyz.min(axis=0))
-    header.add_extra_dim(laspy.ExtraBytesParams("record", np.int64))
-    if crs is not None:
-        pyproj = pytest.importorskip("pyproj")
-        header.add_crs(pyproj.CRS.from_epsg(crs))
-    las = laspy.LasData(header)
-    las.x, las.y, las.z = xyz.T
-    las.gps_time = time_s
-    las.classification = classes.astype(np.uint8)
-    las["record"] = record
-    las.return_number[:] = 1
-    if source is not None:
-        las.point_source_id = source.astype(np.uint16)
+def with_crs(path: Path, crs: int) -> Path:
+    """Name the coordinate system in the header of a file."""
+    las = laspy.read(path)
+    las.header.add_crs(pytest.importorskip("pyproj").CRS.from_epsg(crs))
     las.write(path)
+    return path
 
 
 @pytest.fixture(scope="module")
@@ -152,8 +117,8 @@ def drive() -> Drive:
 def folder(drive: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("drive")
     drive.write_labels(folder / "labels.npy")
-    drive.write_points(folder / "raw.csv.gz")
-    drive.write_points(folder / "labelled.csv.gz", labels=True)
+    drive.write_points(folder / "raw.npz")
+    drive.write_points(folder / "labelled.npz", label=drive.label)
     drive.write_tiles(folder / "tiles")
     return folder
 
@@ -183,7 +148,7 @@ def test_labels_alone_against_filtered_and_shuffled_tiles(
     drive: Drive, folder: Path, match: str
 ) -> None:
     evaluation = run(
-        folder / "labels.npy", folder / "tiles", **by(match), predicted_points=folder / "raw.csv.gz"
+        folder / "labels.npy", folder / "tiles", **by(match), predicted_points=folder / "raw.npz"
     )
     assert_same(evaluation, drive.matrix())
     n_kept = int(drive.kept.sum())
@@ -196,18 +161,10 @@ def test_labels_alone_against_filtered_and_shuffled_tiles(
         )
 
 
-def test_an_image_with_xyz_and_time(drive: Drive, folder: Path, tmp_path: Path) -> None:
-    shape = (-1, M)
-    np.savez(
-        tmp_path / "image.npz",
-        label=drive.label.reshape(shape),
-        xyz=drive.xyz.reshape(-1, M, 3),
-        time_s=drive.time_s.reshape(shape),
-        range_m=drive.range_m.reshape(shape),
-    )
+def test_parts_by_line_and_range(drive: Drive, folder: Path) -> None:
     for match in ("time", "nearest"):
         evaluation = run(
-            tmp_path / "image.npz",
+            folder / "labelled.npz",
             folder / "tiles",
             **by(match),
             split_lines=100,
@@ -233,13 +190,15 @@ def test_an_image_with_xyz_and_time(drive: Drive, folder: Path, tmp_path: Path) 
 def test_returns_of_one_shot_are_told_apart(tmp_path: Path) -> None:
     time_s = np.array([1.0, 1.0, 2.0, 2.0, 3.0])
     number = np.array([1, 2, 1, 2, 1])
+    codes = np.array([2, 5, 2, 6, 2])
     for name, chosen in (("a", [0, 1, 2, 3, 4]), ("b", [3, 4, 1])):
-        las = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
-        las.x = las.y = las.z = np.zeros(len(chosen))
-        las.gps_time = time_s[chosen]
-        las.return_number = number[chosen]
-        las.classification = np.array([2, 5, 2, 6, 2], np.uint8)[chosen]
-        las.write(tmp_path / f"{name}.las")
+        write_las(
+            tmp_path / f"{name}.las",
+            np.zeros((len(chosen), 3)),
+            codes[chosen],
+            gps_time=time_s[chosen],
+            return_number=number[chosen],
+        )
     evaluation = run(tmp_path / "a.las", tmp_path / "b.las", match="time")
     assert evaluation.match.n_matched == 3
     assert np.trace(evaluation.matrix.counts[:3]) == 3
@@ -250,7 +209,7 @@ def test_pairs_of_unknown_range_are_a_part_and_parts_without_scored_pairs_are_le
     drive: Drive, folder: Path
 ) -> None:
     np.save(folder / "truth.npy", drive.truth)
-    options = {"predicted_points": folder / "raw.csv.gz", "split_range_m": (20.0, 40.0, 99.0)}
+    options = {"predicted_points": folder / "raw.npz", "split_range_m": (20.0, 40.0, 99.0)}
     evaluation = run(folder / "labels.npy", folder / "truth.npy", **options)
     names = [part.name for part in evaluation.splits["range"]]
     assert names == ["0-20 m", "20-40 m", "40-99 m"]
@@ -272,16 +231,6 @@ def test_pairs_of_unknown_range_are_a_part_and_parts_without_scored_pairs_are_le
     )
     assert [part.name for part in evaluation.splits["range"]][-1] == "unknown"
     assert evaluation.splits["range"][-1].matrix.n_scored == drive.missing.sum()
-    # the reference may be the one that knows
-    np.save(folder / "truth.npy", drive.truth)
-    swapped = run(
-        folder / "labels.npy",
-        folder / "truth.npy",
-        reference_points=folder / "raw.csv.gz",
-        split_lines=150,
-    )
-    assert len(swapped.splits["lines"]) == 2
-    assert "lines: taken from the reference" in swapped.match.notes
 
 
 def refused(error: type[PrcError], act: Callable[[], object]) -> str:
@@ -293,24 +242,23 @@ def refused(error: type[PrcError], act: Callable[[], object]) -> str:
 
 def test_poor_matches_are_refused(drive: Drive, folder: Path, tmp_path: Path) -> None:
     tiles = drive.write_tiles(tmp_path / "far", shift=5000.0)
-    message = refused(InputError, lambda: run(folder / "labelled.csv.gz", tiles, match="nearest"))
+    message = refused(InputError, lambda: run(folder / "labelled.npz", tiles, match="nearest"))
     assert "nothing overlaps; check that both are registered in one system" in message
     assert "tile_0.laz and 3 more: x 674999.971 to 675029.93" in message
     late = replace_time(tmp_path / "late.las", drive, 1000.0)
-    message = refused(InputError, lambda: run(folder / "labelled.csv.gz", late, match="time"))
+    message = refused(InputError, lambda: run(folder / "labelled.npz", late, match="time"))
     assert "time 300000000 to 300000001" in message
     assert "both clocks count alike" in message
     half = replace_time(tmp_path / "half.las", drive, 0.3)
     message = refused(
-        InputError, lambda: run(folder / "labelled.csv.gz", half, match="time", min_matched=0.9)
+        InputError, lambda: run(folder / "labelled.npz", half, match="time", min_matched=0.9)
     )
     assert "expected at least 90 %" in message
-    assert run(folder / "labelled.csv.gz", half, match="time", min_matched=0.1).match.n_matched > 0
+    assert run(folder / "labelled.npz", half, match="time", min_matched=0.1).match.n_matched > 0
 
 
 def replace_time(path: Path, drive: Drive, shift_s: float) -> Path:
-    write_las(path, drive.xyz, drive.truth, drive.time_s + shift_s, np.arange(drive.n))
-    return path
+    return write_las(path, drive.xyz, drive.truth, gps_time=drive.time_s + shift_s)
 
 
 def test_other_coordinate_systems_are_refused_with_both_names(drive: Drive, tmp_path: Path) -> None:
@@ -349,6 +297,8 @@ def test_other_coordinate_systems_are_refused_with_both_names(drive: Drive, tmp_
         ({"min_matched": 2.0}, "expected a share from 0 to 1"),
         ({"split_range_m": (20.0, 10.0)}, "expected ascending ranges"),
         ({"split_lines": 0}, "expected at least 1"),
+        ({"split_confidence": (60, 40)}, "expected rising per cents"),
+        ({"split_confidence": (101,)}, "expected rising per cents"),
         ({"match": "time"}, "no 'time' to match by in the file, which has: class codes alone"),
         ({"match": "nearest"}, "no 'x' to match by"),
         ({"match": "dimension:shot"}, "no 'shot' to match by"),
@@ -367,7 +317,7 @@ def test_options_that_make_no_sense(
 
 def test_bad_inputs(drive: Drive, folder: Path, tmp_path: Path) -> None:
     np.save(tmp_path / "short.npy", drive.label[:-1])
-    options = {"match": "time", "predicted_points": folder / "raw.csv.gz"}
+    options = {"match": "time", "predicted_points": folder / "raw.npz"}
     message = refused(InputError, lambda: run(tmp_path / "short.npy", folder / "tiles", **options))
     assert f"{drive.n - 1} class codes" in message
     assert f"holds {drive.n} records" in message
@@ -391,69 +341,6 @@ def test_bad_inputs(drive: Drive, folder: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="codes that the class mapping does not list: 99"):
         np.save(tmp_path / "odd.npy", np.full(drive.n, 99))
         run(tmp_path / "odd.npy", folder / "tiles", **options)
-
-
-@pytest.fixture(scope="module")
-def oakland(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Labels of a raw section, its points with times, and a registered cloud.
-
-    Shuffled tiles, a fifth of it gone.
-    """
-    folder = tmp_path_factory.mktemp("oakland")
-    raw = real_data / "oakland" / "oakland_1.csv.gz"
-    classify(raw, folder / "labels.npy", load_config(preset="prc-2019-urban"))
-    with gzip.open(raw) as packed:
-        lines = packed.read().decode().splitlines()
-    time_s = 3.1e8 + np.arange(len(lines) - 1) * 1.3e-5
-    timed = [
-        f"{lines[0]},time",
-        *(f"{line},{t!r}" for line, t in zip(lines[1:], time_s.tolist(), strict=True)),
-    ]
-    (folder / "timed.csv").write_text("\n".join(timed) + "\n")
-    table = np.genfromtxt(lines[1:], delimiter=",")
-    random = np.random.default_rng(1)
-    kept = np.flatnonzero(np.isfinite(table[:, 3]) & (random.random(len(table)) < 0.8))
-    mapping = load_mapping("oakland")
-    index = mapping.class_indices(table[kept, 7].astype(np.int64), "reference")
-    codes = np.array(
-        [
-            *(
-                {"ground": 2, "vegetation": 5, "building": 6}.get(n, 65)
-                for n in mapping.names("reference")
-            ),
-            0,
-        ]
-    )
-    (folder / "tiles").mkdir()
-    for k, part in enumerate(np.array_split(random.permutation(len(kept)), 3)):
-        record = kept[part]
-        write_las(
-            folder / "tiles" / f"{k}.laz",
-            table[record, 4:7],
-            codes[index[part]],
-            time_s[record],
-            record,
-        )
-    np.save(folder / "labels_kept.npy", np.load(folder / "labels.npy").ravel()[kept])
-    np.save(folder / "truth_kept.npy", codes[index])
-    return folder
-
-
-@pytest.mark.slow
-@pytest.mark.data
-@pytest.mark.parametrize("match", ["time", "dimension:record", "nearest"])
-def test_oakland_raw_against_registered(oakland: Path, match: str) -> None:
-    options = EvaluateOptions(**by(match), predicted_points=oakland / "timed.csv", min_matched=1.0)  # type: ignore[arg-type]
-    evaluation = evaluate_all([oakland / "labels.npy"], [oakland / "tiles"], options=options)
-    expected = evaluate_all([oakland / "labels_kept.npy"], [oakland / "truth_kept.npy"])
-    assert (
-        evaluation.match.n_matched
-        == evaluation.match.n_reference
-        == expected.match.n_matched
-        > 50_000
-    )
-    np.testing.assert_array_equal(evaluation.matrix.counts, expected.matrix.counts)
-    assert evaluation.matrix.n_ignored == expected.matrix.n_ignored
 
 
 def test_two_scans_are_not_matched_by_cell(tmp_path: Path) -> None:
@@ -559,9 +446,8 @@ def test_cells_have_the_colours_of_their_classes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rising", [True, False])
-@pytest.mark.parametrize("folder", [True, False])
 def test_the_sky_is_at_the_top_whichever_way_the_columns_run(
-    tmp_path: Path, *, rising: bool, folder: bool
+    tmp_path: Path, *, rising: bool
 ) -> None:
     m = 60
     n = 40
@@ -574,28 +460,18 @@ def test_the_sky_is_at_the_top_whichever_way_the_columns_run(
     )
     x = range_m * np.sin(beam)
     z = -range_m * np.cos(beam)
-    rows = [
-        f"{range_m[k]:.4f},{x[k]:.4f},{0.01 * line:.4f},{z[k]:.4f},{line},{k}"
-        for line in range(n)
-        for k in range(m)
-    ]
-    points = tmp_path / "points"
-    points.mkdir()
-    (points / "labels.csv").write_text("\n".join(["range,x,y,z,scan_line,column", *rows]) + "\n")
+    line, column = (cell.ravel() for cell in np.mgrid[0:n, 0:m])
+    table = np.stack([range_m[column], x[column], 0.01 * line, z[column], line, column], axis=1)
+    points = tmp_path / "points.csv"
+    names = "range,x,y,z,scan_line,column"
+    np.savetxt(points, table, "%.4f", ",", header=names, comments="")
     codes = np.tile(np.where(z < -1.99, 2, 7), n).astype(np.uint8)
     np.save(tmp_path / "labels.npy", codes)
     pair = tmp_path / "labels.npy", tmp_path / "labels.npy"
     mapping = ClassMapping(
         predicted={"ground": (2,), "noise": (7,)}, reference={"ground": (2,), "noise": (7,)}
     )
-    where = points if folder else points / "labels.csv"
-    pictures = class_pictures(*pair, mapping, m, points=(where, None))
+    pictures = class_pictures(*pair, mapping, m, points=(points, None))
     image = np.asarray(Image.open(io.BytesIO(pictures[0][1])).convert("RGB"))
     assert tuple(image[0, 0].tolist()) == colour("noise")
     assert tuple(image[-1, 0].tolist()) == colour("ground")
-
-
-@pytest.mark.parametrize("edges", [(50, 50), (60, 40), (101,)])
-def test_edges_of_confidence_rise_from_0_to_100(edges: tuple[int, ...]) -> None:
-    with pytest.raises(ConfigError, match="expected rising per cents"):
-        check_options(EvaluateOptions(split_confidence=edges))

@@ -24,7 +24,8 @@ from prc_cli.evaluation.places import (
 )
 from prc_cli.jobs.evaluate import evaluate_all
 from prc_cli.jobs.evaluate.options import EvaluateOptions
-from tests.jobs.evaluate.test_registered import Town, write
+from tests.clouds import write_las
+from tests.jobs.evaluate.test_registered import Town
 
 NAMES = ("ground", "building", "vegetation")
 
@@ -54,8 +55,8 @@ def test_planted_errors_of_a_car_are_listed_first(tmp_path: Path, *, is_shuffled
     order = np.arange(len(codes))
     if is_shuffled:
         order = np.random.default_rng(3).permutation(np.flatnonzero(town.codes != 7))
-    run = write(tmp_path / "run.las", town.xyz, town.labels)
-    car = write(tmp_path / "car.las", town.xyz[order], codes[order])
+    run = write_las(tmp_path / "run.las", town.xyz, town.labels)
+    car = write_las(tmp_path / "car.las", town.xyz[order], codes[order])
     options = EvaluateOptions(match="nearest" if is_shuffled else "order", places=True)
     places = evaluate_all([run], [car], "street", options=options).places
     assert places is not None

@@ -12,19 +12,16 @@ from typing import Any
 import laspy
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
 from prc_cli.cli import cli
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.types import F64, I64
 from prc_cli.evaluation.html import as_html
 from prc_cli.evaluation.mapping import ClassMapping
 from prc_cli.evaluation.reports import as_dict, as_markdown
 from prc_cli.evaluation.scores import Evaluation
 from prc_cli.jobs.evaluate import evaluate_all
 from prc_cli.jobs.evaluate.options import EvaluateOptions
-from prc_cli.jobs.transfer import transfer
-from prc_cli.jobs.transfer.options import TransferOptions
+from tests.clouds import write_las
 from tests.runner import runner
 
 CODES = {"noise": (7,), "ground": (2,), "building": (6,), "stem": (64,), "car": (65,)}
@@ -53,16 +50,6 @@ class Town:
         self.labels[(self.codes == 2) & (has_return < 0.01)] = 7
 
 
-def write(path: Path, xyz: F64, codes: I64) -> Path:
-    path.parent.mkdir(exist_ok=True)
-    las = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
-    las.header.scales = np.full(3, 0.001)
-    las.x, las.y, las.z = xyz.T
-    las.classification = codes.astype(np.uint8)
-    las.write(path)
-    return path
-
-
 @pytest.fixture(scope="module")
 def town() -> Town:
     return Town()
@@ -71,7 +58,7 @@ def town() -> Town:
 @pytest.fixture(scope="module")
 def folder(town: Town, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("town")
-    write(folder / "run.las", town.xyz, town.labels)
+    write_las(folder / "run.las", town.xyz, town.labels)
     tiles(town, folder / "tiles")
     return folder
 
@@ -90,7 +77,7 @@ def tiles(
         inside = (xyz[:, 0] >= 25 * k) & (xyz[:, 0] < 25 * (k + 1) + wide) & (town.codes != 7)
         mine = random.permutation(np.flatnonzero(inside & (np.arange(len(xyz)) % 2 == 0)))
         if k != drop:
-            write(folder / f"tile_{k}.laz", xyz[mine], town.codes[mine])
+            write_las(folder / f"tile_{k}.laz", xyz[mine], town.codes[mine])
     return folder
 
 
@@ -196,21 +183,23 @@ def test_what_is_wrong_with_a_reference_is_said(town: Town, folder: Path, tmp_pa
         ),
         ("far", town.xyz + 500.0, "nothing overlaps; check that both are registered in one system"),
     ):
-        path = write(tmp_path / name / "a.las", xyz, town.codes)
+        path = write_las(tmp_path / name / "a.las", xyz, town.codes)
         with pytest.raises(InputError, match=expected):
             run(folder, path)
-    moved = write(tmp_path / "moved" / "run.las", town.xyz + np.array([500, 0, 0]), town.labels)
+    moved = write_las(tmp_path / "moved" / "run.las", town.xyz + np.array([500, 0, 0]), town.labels)
     with pytest.raises(InputError, match="x and y are swapped in one of them"):
         run(
             moved.parent,
-            write(tmp_path / "s.las", town.xyz[:, [1, 0, 2]] + np.array([0, 500, 0]), town.codes),
+            write_las(
+                tmp_path / "s.las", town.xyz[:, [1, 0, 2]] + np.array([0, 500, 0]), town.codes
+            ),
         )
 
 
 def test_three_labellings(town: Town, folder: Path, tmp_path: Path) -> None:
     third = np.where(town.codes == 65, 6, town.codes)
-    path = write(tmp_path / "third.las", town.xyz, third)
-    truth = write(tmp_path / "truth.las", town.xyz, town.codes)
+    path = write_las(tmp_path / "third.las", town.xyz, third)
+    truth = write_las(tmp_path / "truth.las", town.xyz, town.codes)
     for match in ("nearest", "order"):
         options = EvaluateOptions(
             match=match, third=path, tolerance=0.001 if match == "nearest" else None
@@ -258,32 +247,6 @@ def test_options_that_cannot_be_used(
         run(folder, **options)
 
 
-def test_transfer_takes_the_nearest_label(town: Town, folder: Path, tmp_path: Path) -> None:
-    tile = folder / "tiles" / "tile_1.laz"
-    for tolerance in (0.0, 0.1):
-        options = TransferOptions(match="nearest", tolerance_s=tolerance)
-        counts = transfer(
-            folder / "run.las", tile, tmp_path / "out.laz", options, overwrite=True
-        ).counts
-        assert counts.n_matched == counts.n_points > 10_000
-    las = laspy.read(tmp_path / "out.laz")
-    xyz = np.stack([las.x, las.y, las.z], axis=1)
-    nearest = cKDTree(np.round(town.xyz, 3)).query(xyz)[1]
-    assert np.mean(np.asarray(las.classification) == town.labels[nearest]) > 0.999
-    with pytest.raises(ConfigError, match="no dimension 'x'"):
-        np.save(tmp_path / "labels.npy", town.labels.astype(np.uint8))
-        (tmp_path / "times.csv").write_text(
-            "time\n" + "\n".join(map(str, range(len(town.labels)))) + "\n"
-        )
-        transfer(
-            tmp_path / "labels.npy",
-            tile,
-            tmp_path / "o.laz",
-            options,
-            points=tmp_path / "times.csv",
-        )
-
-
 LINES = 60
 M = 91
 ANGLE_DEG = np.linspace(-90, 90, M)
@@ -315,25 +278,13 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     places = [(1000 + 0.4 * k, 2000 + 0.1 * k, 50 + 0.01 * k) for k in range(LINES)]
     rows = [(0.02 * k, *places[k], *angles[k]) for k in range(LINES)]
     head = "time,x,y,z,roll,pitch,yaw"
-    np.savetxt(folder / "poses.csv", rows, "%.6f", ",", header=head, comments="")
     by_compass = [(t, x, y, z, r, -p, (90 - w) % 360) for t, x, y, z, r, p, w in rows]
-    np.savetxt(
-        folder / "compass.csv",
-        by_compass,
-        "%.6f",
-        ",",
-        header=head.replace("yaw", "heading"),
-        comments="",
-    )
-    np.savetxt(
-        folder / "positions.csv",
-        [row[:4] for row in rows],
-        "%.6f",
-        ",",
-        header=head[:10],
-        comments="",
-    )
-    np.savetxt(folder / "bare.csv", [row[:4] for row in rows], "%.6f", ",")
+    for name, table, named in (
+        ("poses", rows, head),
+        ("compass", by_compass, head.replace("yaw", "heading")),
+        ("positions", [row[:4] for row in rows], head[:10]),
+    ):
+        np.savetxt(folder / f"{name}.csv", table, "%.6f", ",", header=named, comments="")
     beam = np.stack([np.zeros(M), np.sin(np.deg2rad(ANGLE_DEG)), -np.cos(np.deg2rad(ANGLE_DEG))])
     mounted = turn(3, 25, -10) @ beam
     xyz = np.concatenate(
@@ -343,32 +294,14 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ]
     )
     kept = random.permutation(np.flatnonzero(np.isfinite(xyz).all(axis=1)))
-    las = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
-    las.header.scales = np.full(3, 0.001)
-    las.x, las.y, las.z = xyz[kept].T
-    las.classification = codes.ravel()[kept]
-    las.write(folder / "registered.laz")
+    write_las(folder / "registered.laz", xyz[kept], codes.ravel()[kept])
     return folder
 
 
 def evaluate(drive: Path, *arguments: str, poses: str = "poses.csv") -> Any:
-    command = [
-        "evaluate",
-        str(drive / "labels.npy"),
-        str(drive / "registered.laz"),
-        "--match",
-        "nearest",
-        "--json",
-    ]
-    command += [
-        "--points",
-        str(drive / "drive.npz"),
-        "--trajectory",
-        str(drive / poses),
-        "--mapping",
-        "prc",
-    ]
-    return runner().invoke(cli, [*command, *arguments])
+    command = f"evaluate {drive}/labels.npy {drive}/registered.laz --match nearest --json"
+    command += f" --points {drive}/drive.npz --trajectory {drive}/{poses} --mapping prc"
+    return runner().invoke(cli, [*command.split(), *arguments])
 
 
 @pytest.mark.parametrize("poses", ["poses.csv", "compass.csv"])
@@ -387,25 +320,9 @@ def test_transfer_places_the_shots_too(drive: Path, tmp_path: Path) -> None:
     truth = np.array(las.classification)
     las.classification[:] = 1
     las.write(tmp_path / "blank.laz")
-    command = [
-        "transfer",
-        str(drive / "labels.npy"),
-        str(tmp_path / "blank.laz"),
-        str(out),
-        "--match",
-        "nearest",
-        "-q",
-    ]
-    command += [
-        "--points",
-        str(drive / "drive.npz"),
-        "--trajectory",
-        str(drive / "poses.csv"),
-        "--mount",
-        MOUNT,
-        "--json",
-    ]
-    done = runner().invoke(cli, command)
+    command = f"transfer {drive}/labels.npy {tmp_path}/blank.laz {out} --match nearest -q --json"
+    command += f" --points {drive}/drive.npz --trajectory {drive}/poses.csv --mount {MOUNT}"
+    done = runner().invoke(cli, command.split())
     assert done.exit_code == 0, done.output
     np.testing.assert_array_equal(laspy.read(out).classification, truth)
     assert json.loads(done.stdout)["config"]["transfer"]["trajectory"] == "poses.csv"
@@ -417,7 +334,6 @@ def test_transfer_places_the_shots_too(drive: Path, tmp_path: Path) -> None:
         (("--mount", "0,25"), "poses.csv", "expected ROLL,PITCH,YAW or ROLL,PITCH,YAW,X,Y,Z"),
         (("--mount", "up"), "poses.csv", "expected numbers separated by commas"),
         ((), "positions.csv", "no column for roll"),
-        ((), "bare.csv", "no column for roll"),
         ((), "missing.csv", "cannot be read"),
         (("--match", "order"), "poses.csv", "give --match nearest"),
     ],
@@ -454,8 +370,8 @@ def test_a_registered_reference_is_refused_by_order_with_the_option_that_reads_i
     town: Town, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    write(Path("classified.las"), town.xyz, town.labels)
-    write(Path("car.las"), town.xyz[town.codes != 7][::-2], town.codes[town.codes != 7][::-2])
+    write_las(Path("classified.las"), town.xyz, town.labels)
+    write_las(Path("car.las"), town.xyz[town.codes != 7][::-2], town.codes[town.codes != 7][::-2])
     np.save("labels.npy", town.labels.astype(np.uint8))
     refused = runner().invoke(cli, ["evaluate", "classified.las", "car.las"])
     text, _, line = str(refused.exception).rpartition("prc ")
@@ -468,7 +384,7 @@ def test_a_registered_reference_is_refused_by_order_with_the_option_that_reads_i
     more = more.replace("INPUT", "classified.las")
     assert runner().invoke(cli, ["evaluate", "labels.npy", "car.las", *more.split()]).exit_code == 0
     for shift in (5, 1000):  # some find a partner, or none can
-        write(Path("raw.las"), town.xyz + shift, town.labels)
+        write_las(Path("raw.las"), town.xyz + shift, town.labels)
         refused = runner().invoke(cli, ["evaluate", "raw.las", "car.las", "--match", "nearest"])
         assert "shots that are relative to the scanner: add --trajectory POSES" in str(
             refused.exception
