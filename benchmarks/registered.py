@@ -68,12 +68,13 @@ class Cloud:
     """Points of a drive in firing order."""
 
     las: laspy.LasData
-    """Records of the raw stream."""
+    """Records of the raw stream, in the order of its file."""
+    order: I64
+    """(n,), the record of every point."""
     xyz_m: F64
     """(n, 3), on the map [m]."""
     truth: U8
     """(n,), codes of the reference."""
-    raw: Path
     path: F64
     """Time, x, y, z of the scanner on the map, (m, 4)."""
 
@@ -83,19 +84,22 @@ class Cloud:
         las.header.scales = np.full(3, 0.001)
         las.header.offsets = np.floor(self.xyz_m.min(axis=0))
         las.x, las.y, las.z = self.xyz_m[index].T
-        las.gps_time = np.asarray(self.las.gps_time)[index] + CLOCK_S
+        record = self.order[index]
+        las.gps_time = np.asarray(self.las.gps_time)[record] + CLOCK_S
         for name in ("intensity", "return_number", "number_of_returns"):
-            las[name] = self.las[name][index]
+            las[name] = self.las[name][record]
         las.write(target)
 
     def raw_labels(self, index: I64, folder: Path) -> U8:
         """Return the labels of the raw stream without all other points."""
-        las = laspy.LasData(self.las.header, self.las.points[np.sort(index)])
+        # rings fire in turns: sorted by time, the lines of their file would be torn apart
+        record = np.sort(self.order[index])
+        las = laspy.LasData(self.las.header, self.las.points[record])
         las.write(folder / "raw.laz")
         done, codes = labels_of("raw.laz", folder, "--trust-order")
         if codes is None:
             raise RuntimeError(done.stderr)
-        return codes[np.searchsorted(np.sort(index), index)]
+        return codes[np.searchsorted(record, self.order[index])]
 
 
 def drive(words: str, folder: Path) -> Cloud:
@@ -105,14 +109,18 @@ def drive(words: str, folder: Path) -> Cloud:
     track = folder / "track.csv"
     run("simulate", kind, raw, *options, "--trajectory", track, "-q", "--overwrite")
     las = laspy.read(raw)
-    las.points = las.points[np.argsort(np.asarray(las.gps_time), kind="stable")]
+    order = np.argsort(np.asarray(las.gps_time), kind="stable")
     path = np.loadtxt(track, delimiter=",", skiprows=1)[:, :4] + [CLOCK_S, *PLACE_M]
-    xyz_m = np.stack([las.x, las.y, las.z], axis=1) + PLACE_M
-    return Cloud(las, xyz_m, np.asarray(las.classification).astype(np.uint8), raw, path)
+    xyz_m = np.stack([las.x, las.y, las.z], axis=1)[order] + PLACE_M
+    truth = np.asarray(las.classification)[order].astype(np.uint8)
+    return Cloud(las, order, xyz_m, truth, path)
 
 
 def labels_of(name: str, folder: Path, *options: str) -> tuple[Done, U8 | None]:
-    """Classify a file; every doubt is accepted for a raw stream (``--trust-order``)."""
+    """Classify a file; for a raw stream (``--trust-order``) doubts are accepted.
+
+    Records without a cell would stay without a class, so this doubt is not.
+    """
     output = folder / f"{name}.npy"
     output.unlink(missing_ok=True)
     accepted: list[str] = []
@@ -120,7 +128,7 @@ def labels_of(name: str, folder: Path, *options: str) -> tuple[Done, U8 | None]:
         done = run(
             "classify", folder / name, output, "--overwrite", *options, *accepted, check=False
         )
-        checks = doubts_of(done) - set(accepted)
+        checks = doubts_of(done) - {*accepted, "unplaced"}
         if "--trust-order" not in options or done.code != 1 or not checks:
             break
         accepted += [word for check in checks for word in ("--accept-doubt", check)]
@@ -168,19 +176,12 @@ def in_tiles(cloud: Cloud) -> list[I64]:
 def row_of(name: str, cloud: Cloud, index: I64, folder: Path) -> list[object]:
     """Return a row: what the labels of the points lose beside those of the raw stream."""
     cloud.write(folder / "points.laz", index)
-    done, codes = labels_of("points.laz", folder, "--range", "points")
+    points_only = ("--range", "points")
+    done, codes = labels_of("points.laz", folder, *points_only)
     path = folder / "path.csv"
     path.unlink(missing_ok=True)
-    run(
-        "info",
-        folder / "points.laz",
-        "--range",
-        "points",
-        "--path",
-        path,
-        "--overwrite",
-        check=False,
-    )
+    words = (*points_only, "--path", path, "--overwrite")
+    run("info", folder / "points.laz", *words, check=False)
     raw = scores(cloud.raw_labels(index, folder), cloud.truth[index])
     points = scores(codes, cloud.truth[index]) if codes is not None else {}
     median_m, most_m = path_error(path, cloud.path)

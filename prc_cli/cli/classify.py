@@ -25,6 +25,7 @@ from prc_cli.cli.report import (
     compiling_note,
     end_with,
     line_progress,
+    notices_of_files,
     print_classes,
     print_notices,
     print_profile,
@@ -193,9 +194,7 @@ def _print_summaries(summaries: Sequence[RunSummary], seconds: float, *, verbose
     n_back = sum(summary.record.tally.n_time_steps_back for summary in summaries)
     if n_back:
         print_line(f"note: the time goes back {n_back:,} times: prc info prints where")
-    print_notices(
-        dict.fromkeys(notice for summary in summaries for notice in summary.record.notices)
-    )
+    print_notices(notices_of_files(summary.record.notices for summary in summaries))
     n_shots = sum(summary.counts.n_shots for summary in summaries)
     rate = f"{n_shots / seconds / 1e6 if seconds else 0.0:.2g} million shots a second"
     if n_shots < FEW_SHOTS:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shlex
 import shutil
 import textwrap
@@ -70,15 +71,20 @@ def info(
     everything. If FILE can be read, the exit code is 0 also if the answer is no: scripts read
     "classifiable" of --json.
 
+    If several files continue each other, prc prints one command for all of them.
+
     \b
     Examples:
       prc info drive.laz
       prc info drive.laz --lines time:200 --columns time:1000000
       prc info tile.laz --range points --path path.csv
+      prc info drive_01.laz drive_02.laz drive_03.laz
     """
     loaded = config_from(options)
     if path_output is not None:
         _prepare_path(files, path_output, loaded, is_checked=check_path, overwrite=overwrite)
+    is_drive = len(files) > 1 and _is_one_recording(files, loaded)
+    needed: list[str | None] = []
     reports: list[dict[str, Any]] = []
     code = ExitCode.DONE
     for path in files:
@@ -93,15 +99,22 @@ def info(
         except PrcError as error:
             click.echo(error.message(), err=True)
             reports.append({"path": str(path), "error": str(error), "classifiable": False})
+            needed.append(None)
             code = max(code, error.exit_code)
             continue
-        command = _command(inspection, options)
+        needed.append(_needed_options(inspection, options))
+        command = _command(path, needed[-1])
         files_written = {"written": [str(name) for name in written]} if written else {}
         reports.append(inspection.as_dict() | {"command": command} | files_written)
         if not as_json and not quiet:
-            _print(inspection, command, checks=checks, verbose=verbose)
+            _print(inspection, "" if is_drive else command, checks=checks, verbose=verbose)
             for name in written:
                 print_result(f"{name}: path of the scanner")
+    if is_drive:
+        command = _drive_command(files, needed)
+        reports = [report | {"drive_command": command} for report in reports]
+        if not as_json and not quiet:
+            _print_drive(files, needed, command)
     if as_json:
         print_json(reports[0] if len(files) == 1 else reports)
     if code:
@@ -229,8 +242,8 @@ VERDICTS = {Verdict.FINE: "fine", Verdict.DOUBTFUL: "warning", Verdict.AGAINST: 
 """Words for the results of checks."""
 
 
-def _command(inspection: Inspection, options: dict[str, Any]) -> str:
-    """Return the command that classifies the file, with all options that it needs; may be empty."""
+def _needed_options(inspection: Inspection, options: dict[str, Any]) -> str | None:
+    """Return all options that the file needs to be classified; None = no options help."""
     doubts = inspection.doubts
     mends = [inspection.mend] if inspection.mend else list(inspection.missing)
     if not mends and inspection.problem:
@@ -238,13 +251,46 @@ def _command(inspection: Inspection, options: dict[str, Any]) -> str:
         if not all(finding.option for finding in against) or inspection.problem not in {
             finding.problem for finding in against
         }:
-            return ""
+            return None
     mends = mends or list(dict.fromkeys(finding.option for finding in doubts if finding.option))
-    words = ["prc", "classify", typed(inspection.path), typed(output_for(Path(inspection.path)))]
     mended = {mend.partition(" ")[0] for mend in mends} - {"--set"}
-    return shlex.join([*words, *given_words(options, mended)]) + "".join(
-        f" {mend}" for mend in mends
-    )
+    words = [shlex.join(given_words(options, mended)), *mends]
+    return "".join(f" {word}" for word in words if word)
+
+
+def _command(path: Path, needed: str | None) -> str:
+    """Return the command that classifies a file; empty if there is none."""
+    if needed is None:
+        return ""
+    return shlex.join(["prc", "classify", typed(path), typed(output_for(path))]) + needed
+
+
+def _is_one_recording(files: Sequence[Path], loaded: LoadedConfig) -> bool:
+    from prc_cli.jobs.drive import is_one_recording  # few need it
+
+    return is_one_recording(files, loaded)
+
+
+def _drive_command(files: Sequence[Path], needed: Sequence[str | None]) -> str:
+    """Return the command that classifies files as one drive; empty if their options differ."""
+    # a drive has the origin of its first file
+    alike = {
+        None if words is None else re.sub(r" --set input\.time_origin=\S+", "", words)
+        for words in needed
+    }
+    is_same_name = len({path.name for path in files}) < len(files)
+    if len(alike) > 1 or needed[0] is None or is_same_name:
+        return ""
+    output = typed(files[0].with_name("classified"))
+    return shlex.join(["prc", "classify", *map(typed, files), f"{output}/"]) + needed[0]
+
+
+def _print_drive(files: Sequence[Path], needed: Sequence[str | None], command: str) -> None:
+    """Print what to type for files that continue each other."""
+    print_result(f"the {len(files)} files continue each other: they are one drive")
+    commands = [command] if command else map(_command, files, needed)
+    for line in filter(None, commands):
+        print_result(f"type: {line}")
 
 
 def _rows(inspection: Inspection, *, verbose: bool) -> Iterator[tuple[str, str]]:

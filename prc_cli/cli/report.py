@@ -154,6 +154,22 @@ def print_notices(notices: Iterable[str]) -> None:
             print_line(notice if notice.startswith(NOT_KEPT) else f"note: {notice}")
 
 
+def notices_of_files(notices_by_file: Iterable[Iterable[str]]) -> Iterator[str]:
+    """Yield the notes of several files; notes that differ only in their numbers are one.
+
+    >>> list(notices_of_files([["12 of 40 rows repeat"], ["7 of 30 rows repeat"]]))
+    ['12 of 40 rows repeat (1 more file has this note, with other numbers)']
+    """
+    alike: dict[str, dict[str, None]] = {}
+    for notices in notices_by_file:
+        for notice in notices:
+            alike.setdefault(re.sub(r"\d[\d.,]*", "0", notice), {})[notice] = None
+    for first, *others in alike.values():
+        n = len(others)
+        files = "1 more file has" if n == 1 else f"{n} more files have"
+        yield f"{first} ({files} this note, with other numbers)" if n else first
+
+
 def print_assumptions(assumptions: Sequence[Assumption], tally: ReadTally) -> None:
     """Print the assumptions and the counts of the reader."""
     if assumptions:

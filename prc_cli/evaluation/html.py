@@ -34,6 +34,7 @@ from prc_cli.evaluation.reports import (
 )
 from prc_cli.evaluation.scores import (
     CALLED_NOISE_TITLE,
+    GOOD_CALLED_NOISE_TITLE,
     OVERALL_SCORES,
     Evaluation,
     GateResult,
@@ -269,6 +270,7 @@ def as_html(
             (name, _TITLES.get(name, title)) for name, title in score_titles(shown_scores).items()
         ],
         "called_noise_title": CALLED_NOISE_TITLE,
+        "good_called_noise_title": GOOD_CALLED_NOISE_TITLE,
         "class_names": tuple(dict.fromkeys((*shown.reference_names, *shown.predicted_names))),
         "gates": gates,
         "gates_line": gates_line(gates),

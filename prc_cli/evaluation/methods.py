@@ -25,6 +25,7 @@ from prc_cli.evaluation.reports import (
 from prc_cli.evaluation.scores import (
     CALLED_NOISE,
     CALLED_NOISE_TITLE,
+    GOOD_CALLED_NOISE_TITLE,
     OVERALL_SCORES,
     TABLE_SCORES,
     Evaluation,
@@ -34,7 +35,7 @@ from prc_cli.evaluation.scores import (
 )
 
 _TITLES = {"f1": "F1", CALLED_NOISE: CALLED_NOISE_TITLE}
-_OF_ALL = {CALLED_NOISE: f"good points {CALLED_NOISE_TITLE}"}
+_OF_ALL = {CALLED_NOISE: GOOD_CALLED_NOISE_TITLE}
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -20,6 +20,7 @@ from prc_cli.evaluation.scores import (
     CALLED_NOISE,
     CALLED_NOISE_TITLE,
     CLASS_SCORES,
+    GOOD_CALLED_NOISE_TITLE,
     OVERALL_SCORES,
     Evaluation,
     GateResult,
@@ -167,7 +168,7 @@ def overall_line(
     """
     titles = {name: name.replace("_", " ") for name in OVERALL_SCORES}
     if not math.isnan(matrix_scores.called_noise):
-        titles[CALLED_NOISE] = f"good points {CALLED_NOISE_TITLE}"
+        titles[CALLED_NOISE] = GOOD_CALLED_NOISE_TITLE
     return ", ".join(
         f"{title} {with_interval(getattr(matrix_scores, name), intervals.get(name), dash)}"
         for name, title in titles.items()

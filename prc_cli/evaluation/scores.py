@@ -38,6 +38,9 @@ CALLED_NOISE = "called_noise"
 It is reported beside the scores, and no gate asks for it.
 """
 CALLED_NOISE_TITLE = "called noise"
+"""Title of the share of a class."""
+GOOD_CALLED_NOISE_TITLE = f"good points {CALLED_NOISE_TITLE}"
+"""Title of the share of all classes but noise."""
 NOISE = "noise"
 """Name of the class whose points are no good points."""
 

@@ -5,9 +5,11 @@ A scan line that is cut by the end of a file goes on in the next one.
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -201,6 +203,31 @@ def find_break(joined: JoinedFiles, *, in_order: bool = True) -> Break | None:
         if why:
             return Break(number, why)
     return None
+
+
+def is_continuous(drive: JoinedInput, config: InputConfig) -> bool:
+    """Return whether the times, or the numbers of lines, show that the files are one recording."""
+    if drive.are_recordings:
+        spans = [_span_s(part, config) for part in drive.parts]
+        # the scans of several scanners overlap where a recording is cut
+        return all(
+            first < next_first <= last + GAP_S and last < next_last
+            for (first, last), (next_first, next_last) in pairwise(spans)
+        )
+    joined = drive.files()
+    has_order = {"time", "scan_line"} & set(joined.parts[0].dimensions)
+    return bool(has_order) and find_break(joined) is None
+
+
+def _span_s(part: Input, config: InputConfig) -> tuple[float, float]:
+    """Return the first and the last time of a bag or a capture; NaN without times."""
+    first = math.inf
+    last = -math.inf
+    for block in open_recordings((part,), config).blocks():
+        if block.time_s is not None and np.isfinite(block.time_s).any():
+            first = min(first, float(np.nanmin(block.time_s)))
+            last = max(last, float(np.nanmax(block.time_s)))
+    return (first, last) if first <= last else (math.nan, math.nan)
 
 
 def _why_apart(before: Source, after: Source) -> str:

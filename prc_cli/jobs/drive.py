@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from prc_cli.config import LoadedConfig, with_layout_beside
-from prc_cli.core.errors import ConfigError
+from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import whole_set
 from prc_cli.core.findings import notices
 from prc_cli.core.loops import Engine, use_engine
@@ -29,6 +29,7 @@ from prc_cli.formats.joined import (
     JoinedInput,
     JoinedRecordings,
     find_break,
+    is_continuous,
 )
 from prc_cli.formats.outputs import open_writer, prepare_label_outputs
 from prc_cli.formats.registry import by_suffix, is_cloud
@@ -124,6 +125,19 @@ def classify_drive(
             first = stop
             why = "" if cut is None else f"a stream of its own begins with this file: {cut.why}"
     return summaries
+
+
+def is_one_recording(parts: Sequence[Path], config: LoadedConfig) -> bool:
+    """Return whether files continue each other, so that they should be classified as one drive.
+
+    Files without times and without numbers of lines do not show it.
+    """
+    try:
+        loaded = with_layout_beside(Input.of(parts[0]), config)
+        scans = (replace(Input.of(part), layout=loaded.config.layout) for part in parts)
+        return is_continuous(JoinedInput(tuple(scans)), loaded.config.input)
+    except (InputError, ConfigError):
+        return False
 
 
 def _joined(

@@ -258,7 +258,7 @@ def _inspect(scan: Input, loaded: LoadedConfig, opened: Stream | None = None) ->
     contents = Contents(class_names=names_of_file(scan.path) if scan.is_las else {})
     order = _time_order(source, contents)
     if stream is not None and _fires_in_turns(stream):
-        order = _line_order(stream)
+        order = _line_order(stream, in_turns=True)
     inspection = _inspect_records(scan, loaded, source, stream, refusal, order)
     drive = None
     if stream is not None and loaded.config.input.range == "points":
@@ -573,8 +573,11 @@ def _fires_in_turns(stream: Stream) -> bool:
     return stream.grid is not None and bool(stream.grid.find_turns())
 
 
-def _line_order(stream: Stream) -> OrderEvidence | None:
-    """Return the order of the times of the scanner with most breaks; None without times."""
+def _line_order(stream: Stream, *, in_turns: bool = False) -> OrderEvidence | None:
+    """Return the order of the times of the scanner with most breaks; None without times.
+
+    ``in_turns``: the rings are known to fire in another order than they lie.
+    """
     watches: dict[int, OrderWatch] = {}
     for block in stream.blocks():
         if block.time_s is None:
@@ -583,7 +586,7 @@ def _line_order(stream: Stream) -> OrderEvidence | None:
         # the shots of a line are fired at different times: compare the first ring
         time_s = (
             block.time_s[:, 0]
-            if stream.info.facts.has_line_times or take_turns(block)
+            if in_turns or stream.info.facts.has_line_times or take_turns(block)
             else block.time_s.ravel()
         )
         watch.see(time_s, None)

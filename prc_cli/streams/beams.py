@@ -43,6 +43,7 @@ from prc_cli.streams.down import (
     wrap,
 )
 from prc_cli.streams.ranges import MAX_LENGTH_OFF, MAX_LENGTH_OFF_M, XYZ
+from prc_cli.streams.rules import POINTS
 from prc_cli.streams.stream import Stream
 
 SAMPLE_LINES = 64
@@ -472,6 +473,8 @@ class BeamFinder:
         ways = ["--range origin:X,Y,Z"]
         if not has or "time" in has:
             ways.insert(0, "--range trajectory:FILE")
+        if "time" in has:
+            ways.insert(0, POINTS)
         return ways if origin_only else ["--range sensor-xyz", *ways]
 
 

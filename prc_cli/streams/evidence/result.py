@@ -57,6 +57,10 @@ WHOLE = 0.8
 LONG_STRETCHES = 3
 """Stretches in a row that make a long one: a tenth to a fifth of a long stream."""
 
+_NOTHING_BELOW = (
+    "nothing is below the scanner: classify a tile beside the road with the other tiles of the "
+    "drive; else check where down is: prc info"
+)
 _LOOK_FOR_DOWN = "check where down is: prc info; or give it: --set input.nadir=DEG"
 _UP_KEY = "rings.up"
 _NO_STREET = "fused is for scans outdoors; remove stretches indoors"
@@ -297,11 +301,13 @@ def _ground_below(
     usual: UsualLabels,
 ) -> Iterator[Finding]:
     where = " within 60 deg of down"
+    hint = _LOOK_FOR_DOWN
     seen = below
     least = usual.level_share
     if np.count_nonzero(below) < LEAST_RETURNS:
         # ground that is above the scanner does not count
         where = ""
+        hint = _NOTHING_BELOW
         seen = solid
         least = usual.ground_share
         level = level & is_lower
@@ -315,7 +321,7 @@ def _ground_below(
         verdict_of(doubtful=share < least),
         measured,
         f"at least {_percent(least)}",
-        _LOOK_FOR_DOWN,
+        hint,
     )
 
 
