@@ -170,13 +170,13 @@ HEAVIEST = {
         "riddles": 42,
     },
     "tests": {
-        "tokens": 368_000,
+        "tokens": 315_000,
         "tokens_per_line": 10.5,
         "long_lines": 27,
         "packed_share": 0.015,
         "tuples": 68,
         "format_skips": 10,
-        "riddles": 80,
+        "riddles": 60,
     },
     "benchmarks": {
         "tokens": 50_000,

@@ -25,16 +25,6 @@ from tests import patience
 from tests.patience import wait_until
 
 
-def test_a_finished_file_takes_its_name_and_leaves_nothing_else(tmp_path: Path) -> None:
-    target = tmp_path / "labels.npy"
-    target.write_bytes(b"old")
-    with atomic_output(target) as temporary:
-        temporary.write_bytes(b"new")
-        assert target.read_bytes() == b"old"
-    assert target.read_bytes() == b"new"
-    assert os.listdir(tmp_path) == ["labels.npy"]
-
-
 @pytest.mark.parametrize("overwrite", [None, False])
 def test_a_file_that_appears_meanwhile_is_not_replaced(
     tmp_path: Path, overwrite: bool | None

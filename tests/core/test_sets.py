@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from prc_cli.core import files, paths
-from prc_cli.core.errors import OutputError, OutputExistsError
+from prc_cli.core.errors import OutputExistsError
 from prc_cli.core.files import (
     atomic_output,
     left_words,
@@ -184,17 +184,6 @@ def test_who_cleans_up_keeps_a_set_that_is_whole(tmp_path: Path) -> None:
     assert killed_at(4, lambda: write(tmp_path, source))
     remove_unfinished(*outputs_in(tmp_path), keeps_whole=True)
     assert contents(tmp_path) == WHOLE
-
-
-def test_a_set_that_fails_leaves_nothing(tmp_path: Path) -> None:
-    outputs = outputs_in(tmp_path)
-    with pytest.raises(OutputError), whole_set():
-        with atomic_output(outputs[0]) as temporary:
-            temporary.write_text("whole")
-        with atomic_output(outputs[1]):
-            raise OutputError("o.csv", "the disk is full")
-    assert not contents(tmp_path)
-    assert left_words() == "no output was left behind"
 
 
 def test_a_run_that_is_interrupted_at_its_end_takes_its_outputs_back(tmp_path: Path) -> None:

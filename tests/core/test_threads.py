@@ -231,17 +231,6 @@ class TestReadAhead:
 
 
 class TestWriteBehind:
-    def test_all_is_written_in_order_in_another_thread(self) -> None:
-        written: list[object] = []
-
-        def sink(n: int) -> None:
-            written.append((n, threading.current_thread().name))
-
-        with write_behind(sink) as queue:
-            for n in range(20):
-                queue.put(n)
-        assert written == [(n, "write-behind") for n in range(20)]
-
     def test_put_waits_while_the_queue_is_full(self) -> None:
         go_on = threading.Event()
         n_put: list[int] = []

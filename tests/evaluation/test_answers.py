@@ -10,7 +10,7 @@ import pytest
 
 from prc_cli.core.errors import InputError
 from prc_cli.evaluation.answers import CANNOT_TELL, KIND, Answers, load_answers, pool
-from prc_cli.evaluation.sampled import agreement_line, as_dict, as_markdown, evaluate_sample
+from prc_cli.evaluation.sampled import agreement_line, as_csv, as_dict, as_markdown, evaluate_sample
 from prc_cli.evaluation.sampled_html import answer_matrix, sampled_html
 
 PATH = Path("x.json")
@@ -80,6 +80,8 @@ def test_two_persons_give_kappa_and_count_once() -> None:
     assert agreement_line(evaluation) == "Ada and Ben agree on 75.0% of 4 places, kappa 0.500."
     assert "kappa 0.500" in as_markdown(evaluation)
     assert as_dict(evaluation)["kappa"] == pytest.approx(0.5)
+    accuracy = evaluation.scores["accuracy"].value
+    assert f",accuracy,{accuracy:.6f}," in as_csv(evaluation)
 
 
 def test_the_page_has_the_counts_and_escapes_names() -> None:
@@ -107,14 +109,6 @@ def test_the_page_has_the_counts_and_escapes_names() -> None:
     assert "<i>" not in page
     data = page.partition('id="evaluation">')[2].partition("</script>")[0]
     assert json.loads(data) == as_dict(evaluation)
-
-
-def test_other_places_of_the_same_file_add_up() -> None:
-    pooled = pool(
-        [PATH, PATH], [answers_of("ground", "car"), answers_of("car", "car", first_line=50)]
-    )
-    assert pooled.sample.counts.sum() == 4
-    assert pooled.agreement is None
 
 
 def test_answers_about_another_file_are_not_pooled() -> None:

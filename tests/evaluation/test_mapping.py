@@ -60,30 +60,17 @@ def test_every_preset_takes_every_code_that_prc_predicts(name: str) -> None:
     ("name", "code", "expected"),
     [
         ("street_scan", 66, "vertical"),
-        ("street_scan", 2, "horizontal"),
         ("street_scan", 7, "other"),
         ("street_scan_kitti", 252, "car"),
-        ("street_scan_kitti", 71, "vertical"),
         ("street_scan_kitti", 254, "other"),
         ("street_scan_oakland", 1501, "car"),
-        ("street_scan_oakland", 1303, "vertical"),
-        ("street_scan_oakland", 1306, "vegetation"),
-        ("oakland", 1203, "ground"),
         ("oakland", 1301, "ground"),
-        ("oakland", 1306, "vegetation"),
-        ("oakland", 1412, "building"),
         ("oakland", 1501, "other"),
-        ("oakland", 1002, None),
         ("oakland", 0, None),
         ("semantic_kitti", 1, "noise"),
-        ("semantic_kitti", 72, "ground"),
         ("semantic_kitti", 71, "vegetation"),
-        ("semantic_kitti", 252, "other"),
         ("asprs", 1, None),
-        ("asprs", 11, "ground"),
-        ("asprs", 4, "vegetation"),
         ("asprs", 65, "other"),
-        ("terrascan", 8, "ground"),
         ("terrascan", 1, None),
         ("lastools", 5, "vegetation"),
         ("cloudcompare_csf", 1, "rest"),
@@ -156,16 +143,6 @@ def test_a_refusal_names_the_presets_that_list_the_codes(
         load_mapping(name).class_indices(np.array(codes), side)
     assert caught.value.hint.startswith(f"a mapping that lists them: {fits}")
     assert "or write a line for them under [" in caught.value.hint
-
-
-def test_other_is_never_scored_even_if_both_sides_list_it() -> None:
-    mapping = made(
-        predicted={"ground": [2], "other": [1]},
-        reference={"ground": [2], "other": [9]},
-        unlisted="other",
-    )
-    assert mapping.scored_names == ("ground",)
-    assert mapping.names("predicted") == ("ground", "other")
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import json
-import math
-import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -14,9 +11,8 @@ import pytest
 
 from prc_cli.core.errors import InputError
 from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.html import Curve, as_html, line_chart
+from prc_cli.evaluation.html import as_html
 from prc_cli.evaluation.mapping import load_mapping
-from prc_cli.evaluation.methods import ComparedMethods
 from prc_cli.evaluation.reports import as_csv, as_dict, as_json, as_markdown, doubts
 from prc_cli.evaluation.scores import OVERALL_SCORES, Evaluation, Gate, check_gates, scores
 from tests.evaluation import samples
@@ -39,24 +35,6 @@ def test_reports_show_every_score_and_the_page_says_what_it_means() -> None:
         assert meaning in page
         assert name in header
         assert name in overall
-
-
-def test_reports_show_the_good_points_called_noise_where_there_is_noise() -> None:
-    names = ("noise", "ground")
-    matrix = ConfusionMatrix(names, names, np.array([[9, 1], [1, 7]]))
-    table = as_dict(matrix)
-    assert table["classes"]["noise"]["called_noise"] is None
-    assert table["classes"]["ground"]["called_noise"] == 0.125
-    assert table["overall"]["called_noise"] == 0.125
-    for text in (as_markdown(matrix), as_html(matrix)):
-        assert "called noise" in text
-        assert text.count("0.125") > 1
-    rows = list(csv.DictReader(as_csv(matrix).splitlines()))
-    assert [row["called_noise"] for row in rows] == ["", "0.125000", "0.125000"]
-    methods = ComparedMethods({"a": replace(samples.evaluation(), matrix=matrix, intervals={})})
-    assert ["called noise", "ground", "0.125"] in methods.table()[1]
-    for text in (as_markdown(MATRIX), as_html(MATRIX)):
-        assert "called noise" not in text
 
 
 def test_markdown_shows_names_of_users_as_they_are() -> None:
@@ -178,24 +156,3 @@ def test_text_of_users_is_shown_and_never_read_as_html() -> None:
 def test_pictures_that_are_not_png_are_refused() -> None:
     with pytest.raises(InputError, match="over: is no PNG picture"):
         as_html(samples.MATRIX, pictures=[("over", b"GIF89a")])
-
-
-def test_curves_break_where_they_are_undefined_and_stay_in_the_frame() -> None:
-    values = (0.1, 0.9, math.nan, 0.5, math.nan, 1.0, 0.0)
-    names = [f"{i} <m>" for i in range(7)]
-    chart = line_chart(
-        "recall by range",
-        "range [m]",
-        names,
-        [5, 0, 3, 9, 1, 0, 2],
-        [Curve("ground", values, 0)],
-        names,
-    )
-    Page(chart)
-    lines = re.findall(r'<polyline points="([^"]*)"', chart)
-    assert [len(line.split()) for line in lines] == [2, 2]
-    assert chart.count("<circle") == 5  # a mark wherever there is a value, the lonely one too
-    box = [float(n) for n in re.search(r'viewBox="([^"]*)"', chart)[1].split()]  # type: ignore[index]
-    for x, y in (pair.split(",") for line in lines for pair in line.split()):
-        assert 0 < float(x) < box[2]
-        assert 0 < float(y) < box[3]

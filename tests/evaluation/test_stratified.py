@@ -6,15 +6,12 @@ The intervals are tried on made-up drives whose scores are known.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from prc_cli.core.types import F64, I64
-from prc_cli.evaluation import stratified
 from prc_cli.evaluation.stratified import (
     StratifiedSample,
     allocate,
@@ -121,71 +118,3 @@ def test_allocation_gives_what_was_asked_for(n_shots: list[int], n: int) -> None
     assert all(min(2, count) <= k <= count for count, k in zip(n_shots, drawn, strict=True))
     least = sum(min(2, count) for count in n_shots)
     assert sum(drawn) == pytest.approx(max(min(n, sum(n_shots)), least), abs=len(n_shots) * 2)
-
-
-class Drive(NamedTuple):
-    """Strata of a made-up drive."""
-
-    predicted: str
-    n_shots: I64
-    shares: F64
-    """(strata, classes): true classes of the shots of a stratum."""
-
-    def truth(self) -> dict[str, float]:
-        """Return all scores by their definition."""
-        classes = sorted(set(self.predicted))
-        matrix = np.zeros((len(classes), len(classes)))
-        for name, n, shares in zip(self.predicted, self.n_shots, self.shares, strict=True):
-            matrix[classes.index(name)] += n * shares
-        right = np.diagonal(matrix)
-        truth = {"accuracy": right.sum() / matrix.sum()}
-        for k, name in enumerate(classes):
-            predicted, true = matrix[k].sum(), matrix[:, k].sum()
-            truth[f"precision.{name}"] = right[k] / predicted
-            truth[f"recall.{name}"] = right[k] / true
-            truth[f"f1.{name}"] = 2 * right[k] / (predicted + true)
-        return truth
-
-
-def drive(shares: list[float], errors: list[float]) -> Drive:
-    """A drive with classes of these shares."""
-    random = np.random.default_rng(7)
-    rows = []
-    for k, error in enumerate(errors):
-        others = random.dirichlet(np.full(len(shares) - 1, 0.5)) * error
-        rows.append(np.insert(others, k, 1 - error))
-    n_shots = (np.array(shares) * 1e7).astype(np.int64)
-    return Drive("abcdefgh"[: len(shares)], n_shots, np.array(rows))
-
-
-DRIVES = {
-    "usual": drive([0.45, 0.3, 0.15, 0.08, 0.02], [0.03, 0.05, 0.08, 0.15, 0.25]),
-    "rare": drive([0.6, 0.25, 0.1, 0.04, 0.008, 0.002], [0.01, 0.02, 0.05, 0.1, 0.2, 0.5]),
-}
-
-
-def coverage(made: Drive, n: int, n_draws: int) -> dict[str, float]:
-    """Return the share of samples whose interval contains the truth, by score."""
-    random = np.random.default_rng(11)
-    truth = made.truth()
-    inside = dict.fromkeys(truth, 0)
-    answers = allocate(made.n_shots.tolist(), n)
-    classes = tuple(sorted(set(made.predicted)))
-    for _ in range(n_draws):
-        counts = [random.multinomial(k, row) for k, row in zip(answers, made.shares, strict=True)]
-        none = np.zeros(len(answers), np.int64)
-        drawn = StratifiedSample(
-            tuple(made.predicted), made.n_shots, classes, np.array(counts), none
-        )
-        for name, score in estimates(drawn).items():
-            is_inside = score.low - 1e-9 <= truth[name] <= score.high + 1e-9
-            inside[name] += math.isnan(score.value) or is_inside
-    return {name: count / n_draws for name, count in inside.items()}
-
-
-@pytest.mark.parametrize("name", ["usual", "rare"])
-def test_intervals_contain_the_truth(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stratified, "N_DRAWS", 400)
-    covered = coverage(DRIVES[name], 300, 100)
-    assert min(covered.values()) >= 0.88
-    assert np.mean(list(covered.values())) >= 0.93

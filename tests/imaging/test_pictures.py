@@ -68,8 +68,7 @@ def test_a_sample_is_bounded_even_and_does_not_depend_on_the_chunks() -> None:
     assert Sample(3).rows().shape == (0, 3)
 
 
-@pytest.mark.parametrize("azimuth", [0, 90, 215, -30])
-@pytest.mark.parametrize("elevation", [-20, 0, 30, 89, 90])
+@pytest.mark.parametrize(("azimuth", "elevation"), [(0, 30), (215, -20), (-30, 89), (90, 90)])
 def test_the_perspective_holds_the_points_upright(azimuth: float, elevation: float) -> None:
     points = box()
     view = Perspective.around(points, azimuth, elevation, 700, 500)

@@ -18,6 +18,7 @@ from prc_cli.core.types import I64, U8
 from prc_cli.evaluation.answers import CANNOT_TELL, Answers, load_answers
 from prc_cli.jobs.check import CheckOptions, check
 from prc_cli.jobs.check.draw import SURE, Drawn, draw
+from prc_cli.jobs.check.surroundings import _turned
 from prc_cli.jobs.evaluate.answers import evaluate_answers
 from prc_cli.jobs.render.colours import RecordClasses, vocabulary
 from prc_cli.jobs.render.options import RenderOptions
@@ -144,6 +145,14 @@ def test_the_page_has_every_place_and_nothing_else(
     assert not re.search(r"(src|href)=|https?://", text)
     for place in table["places"]:
         assert place["points"] > 1_000
+
+
+def test_the_scanner_turns_with_the_points_of_its_line() -> None:
+    sensor = np.array([[1, 0, 0], [0, 2, 0], [3, 0, 1]], np.float32)
+    a_quarter = sensor[:, [1, 0, 2]] * (-1, 1, 1)
+    placed = np.add(a_quarter, (100, 50, 0)).astype(np.float32)
+    turned = _turned(sensor, placed, np.array([2.0, 0.0, 1.0]))
+    np.testing.assert_allclose(turned, (0, 2, 1), atol=1e-9)
 
 
 def test_an_input_without_classes_is_refused(

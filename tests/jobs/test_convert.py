@@ -6,7 +6,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import laspy
 import numpy as np
 import pytest
 
@@ -16,6 +15,7 @@ from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.jobs.classify import open_stream
 from prc_cli.jobs.convert import convert
+from tests.clouds import write_las
 from tests.street import LINE_HZ, POINTS_PER_LINE, angles, street
 
 CELLS = (".csv", ".csv.gz", ".csv.zst", ".npz", ".bin")
@@ -103,29 +103,24 @@ def two_scanners(path: Path) -> Path:
                     rows.append(
                         (time, line, column, distance, scanner, number, n, strength, column % 7)
                     )
-    header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales = [0.001] * 3
-    header.offsets = [500_000.0, 6_860_000.0, 0.0]
-    for name, kind in (("range", "f4"), ("scan_line", "u4"), ("column", "u4")):
-        header.add_extra_dim(laspy.ExtraBytesParams(name, kind))
-    las = laspy.LasData(header)
-    table = [np.array(column) for column in zip(*rows, strict=True)]
-    las.x = 500_000.0 + table[3]
-    las.y = 6_860_000.0 + table[2]
-    las.z = -table[3] / 3
-    names = (
-        "gps_time",
-        "scan_line",
-        "column",
-        "range",
-        "point_source_id",
-        "return_number",
-        "number_of_returns",
+    time_s, *cells, source, number, n_returns, intensity, code = (
+        np.array(column) for column in zip(*rows, strict=True)
     )
-    for name, column in zip((*names, "intensity", "classification"), table, strict=True):
-        las[name] = column
-    las.write(path)
-    return path
+    line, column, range_m = (
+        values.astype(kind) for values, kind in zip(cells, ("u4", "u4", "f4"), strict=True)
+    )
+    xyz = np.stack([500_000.0 + range_m, 6_860_000.0 + column, -range_m / 3], axis=1)
+    return write_las(
+        path,
+        xyz,
+        code,
+        extra={"range": range_m, "scan_line": line, "column": column},
+        gps_time=time_s,
+        point_source_id=source,
+        return_number=number,
+        number_of_returns=n_returns,
+        intensity=intensity,
+    )
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".laz"])

@@ -51,19 +51,6 @@ def cut_laz(tmp_path: Path, gap_s: float = 0.0) -> tuple[Path, list[Path]]:
     return whole, parts
 
 
-def test_labels_of_parts_are_those_of_the_joined_dump(tmp_path: Path) -> None:
-    whole, parts = cut_raw(tmp_path)
-    classify(whole, tmp_path / "whole.npy", WITH_M)
-    summaries = list(classify_drive(parts, tmp_path / "out", WITH_M))
-    labels = [np.load(summary.output) for summary in summaries]
-    assert [len(part) for part in labels] == np.diff(CUTS).tolist()
-    assert np.array_equal(np.concatenate(labels), np.load(tmp_path / "whole.npy"))
-    assert [summary.record.n_records for summary in summaries] == np.diff(CUTS).tolist()
-    # the line that the first two files share counts in both
-    assert sum(summary.counts.n_lines for summary in summaries) == N_LINES + 1
-    assert "one drive of 3 files, drive_0.bin to drive_2.bin" in summaries[1].record.notices
-
-
 def test_classes_of_parts_are_those_of_the_joined_laz(tmp_path: Path) -> None:
     whole, parts = cut_laz(tmp_path)
     classify(whole, tmp_path / "whole.laz", URBAN)

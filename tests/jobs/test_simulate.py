@@ -19,7 +19,6 @@ from prc_cli.jobs.classify import open_stream
 from prc_cli.jobs.simulate import Beside, simulate
 from prc_cli.simulation.settings import Kind, Settings, load_settings, open_simulation
 
-REGISTERED = (".laz", ".las", ".csv", ".csv.gz", ".csv.zst")
 SCANNER: dict[str, Any] = {"points_per_line": 240, "line_hz": 20.0}
 LINES = 70
 
@@ -68,20 +67,6 @@ def test_neither_blocks_nor_threads_change_anything(
     assert [item.block.is_last for item in items] == [False] * (len(items) - 1) + [True]
     with pytest.raises(ConfigError, match="found 0, expected at least 1 line"):
         next(scan.blocks(0))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", REGISTERED)
-def test_ranges_from_the_trajectory_are_those_of_the_scanner(
-    drive: tuple[ScanBlock, Any], tmp_path: Path, suffix: str
-) -> None:
-    out = tmp_path / f"drive{suffix}"
-    track = tmp_path / "drive_track.csv"
-    simulate("street", out, small("street"), beside=Beside(trajectory=track))
-    after = read(out, range=f"trajectory:{track}")
-    before = drive[0].range_m[:, : after.points_per_line]
-    assert same(np.isnan(after.range_m), np.isnan(before))
-    assert np.nanmax(np.abs(after.range_m - before)) < 0.003
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,9 @@ the paper."""
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -11,6 +14,7 @@ from prc_cli.simulation.forest.params import ForestSceneParams
 from prc_cli.simulation.forest.reference import reference_labels
 from prc_cli.simulation.forest.scene import ForestScene
 from prc_cli.simulation.forest.trees import Species, Stems
+from prc_cli.simulation.street.road import DROP_M, _verges
 from prc_cli.simulation.street.scene import StreetScene
 from prc_cli.simulation.world import Bodies
 
@@ -114,3 +118,8 @@ def test_the_same_bodies_whatever_the_circle_and_the_way_there() -> None:
     assert set(around(whole, 100.0, 25.0).number) <= set(a.number)
     fresh = around(StreetScene(seed=12), 100.0)
     assert not np.array_equal(a.numbers, fresh.numbers)
+
+
+def test_verges_end_before_dropped_curbs() -> None:
+    side: Any = SimpleNamespace(junction=None, dropped=[(10.0, 20.0)])
+    assert _verges(side, [-5.0, 35.0], (0.0, 40.0)) == [(0.0, 10.0 - DROP_M), (20.0 + DROP_M, 35.0)]

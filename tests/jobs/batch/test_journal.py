@@ -9,7 +9,6 @@ import sqlite3
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -127,16 +126,7 @@ def test_what_is_known_of_a_file(folder: Path) -> None:
         )
         assert entry.finished is not None
         assert entry.started <= entry.finished
-        # the next version of the input fails; what is known is the last attempt
         journal.start(task("a.laz", "second"), "worker 2")
-        assert journal.entry("a.laz") == replace(
-            entry,
-            state="running",
-            config_sha256="second",
-            owner="worker 2",
-            finished=None,
-            started=journal.entry("a.laz").started,
-        )
         journal.finish(failed("a.laz"))
         entry = journal.entry("a.laz")
         assert (entry.state, entry.attempts, entry.outcome) == ("failed", 1, failed("a.laz"))

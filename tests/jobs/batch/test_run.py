@@ -269,11 +269,6 @@ def test_doubts_reach_journal_and_summary_and_are_told_once(settings: BatchSetti
     )
     last = read_runs(settings.out / OWN_FOLDER)[-1]
     assert (last.exit_code, dict(last.totals)["doubted"]) == (4, 1)
-    # it stands until somebody accepts it, and is told by every run
-    events.clear()
-    again = run_batch(settings, Scripted(doubtful), events.append)
-    assert (again.exit_code, again.doubts, again.done) == (4, (expected,), ())
-    assert [event for event in events if isinstance(event, Doubted)] == [expected]
     known = {entry.name: entry.outcome for entry in read_entries(settings.out / OWN_FOLDER)}
     outcome = known["b.npz"]
     assert isinstance(outcome, Done)
@@ -351,8 +346,6 @@ def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str) -> None:
     assert dict(run_batch(replace(settings, verify=True), Scripted(work)).reasons) == {
         "changed output": 1
     }
-    output.unlink()
-    assert {verified.state for verified in verify_outputs(out)} == {"missing", "whole"}
 
 
 # -- real workers

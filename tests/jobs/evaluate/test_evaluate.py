@@ -454,10 +454,7 @@ def test_the_sky_is_at_the_top_whichever_way_the_columns_run(
     beam = np.deg2rad(np.linspace(20, 120, m))
     beam = beam if rising else beam[::-1]
     # a scanner 2 m over the ground, and a wall 15 m away
-    range_m = np.minimum(
-        np.where(np.cos(beam) > 0.01, 2.0 / np.maximum(np.cos(beam), 0.01), 99.0),
-        15.0 / np.sin(beam),
-    )
+    range_m = np.minimum(2.0 / np.maximum(np.cos(beam), 0.01), 15.0 / np.sin(beam))
     x = range_m * np.sin(beam)
     z = -range_m * np.cos(beam)
     line, column = (cell.ravel() for cell in np.mgrid[0:n, 0:m])

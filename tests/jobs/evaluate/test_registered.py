@@ -17,7 +17,7 @@ from prc_cli.cli import cli
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.evaluation.html import as_html
 from prc_cli.evaluation.mapping import ClassMapping
-from prc_cli.evaluation.reports import as_dict, as_markdown
+from prc_cli.evaluation.reports import as_dict
 from prc_cli.evaluation.scores import Evaluation
 from prc_cli.jobs.evaluate import evaluate_all
 from prc_cli.jobs.evaluate.options import EvaluateOptions
@@ -214,9 +214,7 @@ def test_three_labellings(town: Town, folder: Path, tmp_path: Path) -> None:
             == np.sum(right[0] & ~right[1])
             == np.sum(third != town.codes)
         )
-        assert states["only third right"] == np.sum(~right[0] & right[1])
         assert sum(states.values()) == len(town.codes)
-        assert "three labellings" in as_markdown(evaluation).lower()
         assert as_dict(evaluation)["three"]["file"] == str(path)
         assert "only third right" in as_html(evaluation)
         assert (evaluation.plan is None) == (match == "order")
