@@ -77,40 +77,9 @@ def pcd(
 
 
 def lzf(data: bytes) -> bytes:
-    """LZF with matches of three bytes and more, by a plain search."""
-    out = bytearray()
-    literal = bytearray()
-    seen = {}
-    position = 0
-
-    def flush() -> None:
-        for first in range(0, len(literal), 32):
-            part = literal[first : first + 32]
-            out.extend(bytes([len(part) - 1]) + part)
-        literal.clear()
-
-    while position < len(data):
-        key = data[position : position + 3]
-        back = position - seen.get(key, -9000) - 1
-        length = 0
-        while len(key) == 3 and back < 8192 and length < 264 and position + length < len(data):
-            if data[position + length] != data[position - back - 1 + length]:
-                break
-            length += 1
-        seen[key] = position
-        if length < 3:
-            literal.append(data[position])
-            position += 1
-            continue
-        flush()
-        short = length - 2
-        out.append((min(short, 7) << 5) | (back >> 8))
-        if short >= 7:
-            out.append(short - 7)
-        out.append(back & 255)
-        position += length
-    flush()
-    return bytes(out)
+    """LZF without any copies: literals of up to 32 bytes."""
+    parts = (data[first : first + 32] for first in range(0, len(data), 32))
+    return b"".join(bytes([len(part) - 1]) + part for part in parts)
 
 
 def pulse_folder(folder: Path, n_lines: int = 12, m: int = 60) -> Path:

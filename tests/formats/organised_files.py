@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +89,6 @@ class Scan:
     translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     bounds: tuple[int, int, int, int] | None = None
     limits: tuple[float, float] | None = None
-    scaled: dict[str, float] = field(default_factory=dict)
 
 
 def e57_fields(
@@ -144,41 +143,35 @@ def write_e57(path: Path, scans: Sequence[Scan]) -> Path:
 
 
 def _write_scan(image: Any, data: Any, scan: Scan) -> None:
-    def structure(**values: float) -> Any:
+    def number(value: float) -> Any:
+        is_whole = isinstance(value, int)
+        return libe57.IntegerNode(image, value) if is_whole else libe57.FloatNode(image, value)
+
+    def structure(names: Sequence[str], values: Sequence[float]) -> Any:
         node = libe57.StructureNode(image)
-        for name, value in values.items():
-            whole = isinstance(value, (int, np.integer))
-            node.set(
-                name,
-                libe57.IntegerNode(image, int(value))
-                if whole
-                else libe57.FloatNode(image, float(value)),
-            )
+        for name, value in zip(names, values, strict=True):
+            node.set(name, number(value))
         return node
 
     node = libe57.StructureNode(image)
     node.set("guid", libe57.StringNode(image, "{1}"))
     if scan.bounds is not None:
         names = ("rowMinimum", "rowMaximum", "columnMinimum", "columnMaximum")
-        node.set("indexBounds", structure(**dict(zip(names, scan.bounds, strict=True))))
+        node.set("indexBounds", structure(names, scan.bounds))
     if scan.limits is not None:
-        low, high = scan.limits
-        node.set("intensityLimits", structure(intensityMinimum=low, intensityMaximum=high))
+        names = ("intensityMinimum", "intensityMaximum")
+        node.set("intensityLimits", structure(names, scan.limits))
     if scan.rotation is not None:
         pose = libe57.StructureNode(image)
-        pose.set("rotation", structure(**dict(zip("wxyz", map(float, scan.rotation), strict=True))))
-        pose.set(
-            "translation", structure(**dict(zip("xyz", map(float, scan.translation), strict=True)))
-        )
+        pose.set("rotation", structure("wxyz", [float(value) for value in scan.rotation]))
+        pose.set("translation", structure("xyz", scan.translation))
         node.set("pose", pose)
     prototype = libe57.StructureNode(image)
     n = len(next(iter(scan.fields.values())))
     buffers = libe57.VectorSourceDestBuffer()
     kept = []
     for name, values in scan.fields.items():
-        if name in scan.scaled:
-            item = libe57.ScaledIntegerNode(image, 0, -(2**30), 2**30, scan.scaled[name], 0.0)
-        elif values.dtype.kind in "iu":
+        if values.dtype.kind in "iu":
             low, high = (int(values.min()), int(values.max())) if n else (0, 0)
             item = libe57.IntegerNode(image, low, low, high)
         else:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from prc_cli.config import load_config, resolve
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
+from prc_cli.formats.outputs import stream_suffix
 
 LAYOUT = """
 [input]
@@ -83,3 +85,50 @@ def test_the_layout_beside_a_dump_is_the_lowest_layer(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"a\.bin\.toml.*not valid TOML"):
         beside.write_text("[layout")
         resolve(dump)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("a.rxp", ("RIEGL", "RiSCAN PRO")),
+        ("a.rdbx", ("RIEGL",)),
+        ("a.zfs", ("Zoller+Fröhlich", "LaserControl", "E57")),
+        ("a.fls", ("FARO", "SCENE", "E57")),
+        ("a.LGS", ("Leica", "E57")),
+        ("a.mat", ("MATLAB", "numpy.savez('a.npz'")),
+        ("a b.feather", ("csv.write_csv(feather.read_table('a b.feather'), 'a b.csv')",)),
+        ("scan000.3d", ("3DTK", "$1/100", "scan000.3d > scan000.csv")),
+        ("a.xlsx", ("save the sheet as CSV",)),
+        ("a b.zip", ("unzip", "'")),
+        ("a.lvx2", ("Livox", "does not support")),
+        ("a.sbet", ("--range trajectory:",)),
+        ("a.osf", ("ouster-cli source",)),
+        ("a.foo", ("rename the file or convert it",)),
+    ],
+)
+def test_the_maker_and_the_export_are_named(
+    tmp_path: Path, name: str, words: tuple[str, ...]
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(b"1234")
+    with pytest.raises(InputError) as caught:
+        Input.of(path).check()
+    assert all(word in caught.value.hint for word in words)
+
+
+def test_an_output_that_prc_no_longer_writes_has_a_hint() -> None:
+    with pytest.raises(ConfigError, match=r"writes no E57: write \.laz for other programs"):
+        stream_suffix(Path("station.e57"))
+
+
+def test_a_copy_that_never_ended_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.npy"
+    with path.open("wb") as handle:
+        np.lib.format.write_array_header_1_0(
+            handle, {"descr": "<f4", "fortran_order": False, "shape": (1 << 20, 1024)}
+        )
+        handle.truncate(handle.tell() + (1 << 32))
+    if getattr(path.stat(), "st_blocks", 1 << 40) * 512 > 1 << 20:
+        pytest.skip("this file system has no holes")
+    with pytest.raises(InputError, match="the disk stores almost none of its"):
+        Input.of(path).check()

@@ -147,14 +147,9 @@ def _frame(n_fields: int) -> np.ndarray:
     elevation = np.deg2rad(2.0 - 1.7 * ring)
     range_m = np.random.default_rng(2).uniform(5, 6, len(ring))
     flat = range_m * np.cos(elevation)
-    columns = [
-        flat * np.cos(azimuth),
-        flat * np.sin(azimuth),
-        range_m * np.sin(elevation),
-        0.1 * ring,
-        ring,
-        azimuth,
-    ]
+    x = flat * np.cos(azimuth)
+    y = flat * np.sin(azimuth)
+    columns = [x, y, range_m * np.sin(elevation), 0.1 * ring, ring, azimuth]
     return np.stack(columns[:n_fields], axis=1).astype("<f4")
 
 

@@ -12,13 +12,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prc_cli.cli import cli
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.formats.trajectory import is_tum, read_poses
 from prc_cli.streams.trajectory import load_trajectory
 from tests.formats.bags import recordings as made
-from tests.fuzz.seeds import seed
-from tests.runner import runner
+from tests.formats.builders import of_points, write_csv
 
 HEAD = {"crs": None, "source_crs_wkt": None, "time_offset": 0.0}
 
@@ -68,55 +66,20 @@ def odometry(
     return sent
 
 
-def test_ranges_through_the_command_line_are_those_of_a_csv(tmp_path: Path) -> None:
-    points = tmp_path / "a.csv"
-    track = tmp_path / "track.csv"
-    points.write_bytes(seed("a.csv"))
+def test_every_form_gives_the_positions_of_a_csv(tmp_path: Path) -> None:
     rows = poses()
     arm = (0.5, -0.2, 1.5)
     moved = rows[:, 1:4] + Rotation.from_quat(rows[:, 4:]).apply(arm)
-    lines = [
-        f"{t:.9f},{x:.9f},{y:.9f},{z:.9f}\n" for t, (x, y, z) in zip(rows[:, 0], moved, strict=True)
-    ]
-    track.write_text("time,x,y,z\n" + "".join(lines))
-    bag = made.write_bag(
-        tmp_path / "poses.bag", [*odometry(rows, version=1), *odometry(rows, version=1, topic="/x")]
-    )
-    lever = ("--set", "input.trajectory_lever_arm=[0.5, -0.2, 1.5]")
-    labels = []
-    for name, more in (
-        (track, ()),
-        (tum(tmp_path / "a.tum", rows), lever),
-        (
-            bag,
-            (
-                *lever,
-                "--set",
-                "input.trajectory_topic=/odom",
-                "--set",
-                "input.trajectory_time_offset=-1",
-            ),
-        ),
-    ):
-        output = tmp_path / f"{name.name}.npz"
-        words = [
-            "convert",
-            str(points),
-            str(output),
-            "--range",
-            f"trajectory:{name}",
-            "--trust-order",
-            *more,
-        ]
-        result = runner().invoke(
-            cli, [*words, "--lines", "time:50", "--columns", "time:1200", "-M", "24"]
-        )
-        assert result.exit_code in (0, 4), result.output + result.stderr
-        with np.load(output) as arrays:
-            labels.append(arrays["range_m"])
-    assert np.isfinite(labels[0]).sum() > 100
-    for same_labels in labels[1:]:
-        np.testing.assert_allclose(same_labels, labels[0], atol=2e-5)
+    columns = of_points(moved, time=rows[:, 0])
+    csv = load_trajectory(write_csv(tmp_path / "track.csv", columns), **HEAD)
+    sent = [*odometry(rows, version=1), *odometry(rows, version=1, topic="/x")]
+    bag = made.write_bag(tmp_path / "poses.bag", sent)
+    from_bag = {"topic": "/odom", "lever_arm_m": arm, "time_offset": -1.0}
+    times = np.linspace(0.0, 0.4, 50)
+    expected = csv.positions(times)
+    for path, more in ((tum(tmp_path / "a.tum", rows), {"lever_arm_m": arm}), (bag, from_bag)):
+        track = load_trajectory(path, **{**HEAD, **more})
+        np.testing.assert_allclose(track.positions(times), expected, atol=2e-5)
 
 
 def test_what_is_no_pose_is_refused(tmp_path: Path) -> None:

@@ -13,9 +13,7 @@ import pytest
 from prc_cli.core.errors import InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import F64
-from prc_cli.formats.options import InputConfig
 from prc_cli.formats.systems import in_metres, looks_geographic, refuse_degrees, units_of_system
-from prc_cli.streams.ranges import measure_ranges, open_ranges
 from tests.streams.record_lists import MemorySource
 
 GEO = 'GEOGCS["WGS 84",DATUM["WGS_1984"],UNIT["degree",0.0174532925199433]]'
@@ -97,16 +95,3 @@ def test_feet_become_metres_and_are_told() -> None:
     metric = source_of(xyz, METRE)
     assert in_metres(metric) is metric
     assert in_metres(replace(metric, facts=SourceFacts())).facts.notes == ()
-
-
-@pytest.mark.parametrize("rule", ["sensor-xyz", "origin:10,20,30"])
-def test_a_given_scale_is_that_of_the_coordinates(rule: str) -> None:
-    config = InputConfig(range=rule, range_scale=0.3048)
-    ranges = open_ranges(rule, ("x", "y", "z"), "feet.las", config, crs_wkt=FOOT)
-    point = {"x": np.array([13.0]), "y": np.array([24.0]), "z": np.array([30.0])}
-    length, xyz = measure_ranges(point, ranges)
-    origin = np.array([10.0, 20.0, 30.0]) if rule != "sensor-xyz" else np.zeros(3)
-    expected = (np.array([13.0, 24.0, 30.0]) - origin) * 0.3048
-    assert xyz is not None
-    np.testing.assert_allclose(xyz[0], expected, rtol=1e-6)
-    np.testing.assert_allclose(length, np.linalg.norm(expected))

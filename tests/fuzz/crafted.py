@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
-import struct
 from importlib.metadata import version
 from pathlib import Path
 
@@ -29,38 +27,4 @@ def overflowing() -> bytes:
 def huge_page(path: Path) -> Path:
     """Write a Parquet file whose column ``range`` has a page that says it holds 2 GB."""
     path.write_bytes((KEPT / "huge_page.parquet").read_bytes())
-    return path
-
-
-def endless_rows(path: Path, table: str) -> Path:
-    """Let every pointer of a table's pages in a ``.db3`` lead to one child.
-
-    Some 10^13 rows in five more pages.
-    """
-    with sqlite3.connect(path) as base:
-        (root,) = base.execute(
-            "SELECT rootpage FROM sqlite_master WHERE name = ?", (table,)
-        ).fetchone()
-        (size,) = base.execute("PRAGMA page_size").fetchone()
-    data = bytearray(path.read_bytes())
-    leaf = bytes(data[(root - 1) * size : root * size])
-    n_pages = len(data) // size
-    n_cells = (size - 12) // 7
-    places = [(size - 5 * (i + 1)) for i in range(n_cells)]
-
-    def inner(child: int) -> bytes:
-        head = struct.pack(">BHHHBI", 5, 0, n_cells, places[-1], 0, child)
-        page = bytearray(head.ljust(size, b"\0"))
-        for i, place in enumerate(places):
-            struct.pack_into(">H", page, 12 + 2 * i, place)
-            struct.pack_into(">IB", page, place, child, 100)
-        return bytes(page)
-
-    first = n_pages + 1
-    data[(root - 1) * size : root * size] = inner(first)
-    for child in range(first + 1, first + 5):
-        data += inner(child)
-    data += leaf
-    struct.pack_into(">I", data, 28, len(data) // size)
-    path.write_bytes(data)
     return path

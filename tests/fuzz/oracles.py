@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +9,6 @@ import laspy
 import numpy as np
 
 from prc_cli.cli import _run
-from prc_cli.config import LoadedConfig, load_config
-from prc_cli.formats.input import Input
-from prc_cli.jobs.classify import label_blocks
-from prc_cli.streams.open import open_input
 from tests.fuzz.targets import LABELLED, arguments
 
 
@@ -23,7 +18,7 @@ def judge_content(command: str, case: Path, out: Path, scratch: Path) -> list[st
     if faults or command != LABELLED:
         return faults
     labels = np.load(out / "o.npy")
-    return judge_in_memory(case, labels) + judge_read(case, labels, scratch)
+    return judge_read(case, labels, scratch)
 
 
 def read_las(path: Path) -> tuple[Any, BaseException | None]:
@@ -66,34 +61,6 @@ def _differences(before: Any, after: Any) -> list[str]:
         for name in sorted(same)
         if old[name].dtype == new[name].dtype and old[name].tobytes() != new[name].tobytes()
     ]
-
-
-@cache
-def _config() -> LoadedConfig:
-    return load_config(preset="prc-2019-urban", options={"input": {"order": "trust"}})
-
-
-def judge_in_memory(case: Path, labels: np.ndarray) -> list[str]:
-    """Compare labels with those of the library in memory, which reads no more than the command."""
-    config = _config().config
-    stream = open_input(Input.of(case), config.input, geometry=False, only_ranges=True)
-    items = list(label_blocks(stream.blocks(), config.classifier))
-    codes = config.classes.lookup()
-    if all(item.block.record is None for item in items):
-        image = [codes[item.labels].ravel() for item in items]
-        is_same = not image or np.array_equal(np.concatenate(image), labels.ravel())
-        return [] if is_same else ["labels: another image than in memory"]
-    # a record without a cell
-    expected = np.full(labels.size, config.classes.unclassified, np.uint8)
-    for item in items:
-        for numbers, values in (
-            (item.block.records().ravel(), item.labels.ravel()),
-            (item.block.extra.record, item.extra_labels),
-        ):
-            there = (numbers >= 0) & (numbers < labels.size)
-            expected[numbers[there]] = codes[values[there]]
-    n = np.count_nonzero(labels.ravel() != expected)
-    return [f"labels: {n} of {labels.size} records have another class than in memory"] if n else []
 
 
 def judge_read(case: Path, labels: np.ndarray, scratch: Path) -> list[str]:

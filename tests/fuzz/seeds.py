@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import io
 import json
-import struct
 import tempfile
 from collections.abc import Callable
 from functools import cache
@@ -18,6 +17,9 @@ import pyarrow as pa
 from pyarrow import parquet
 
 from tests.formats import cloud_files
+from tests.formats.bags import recordings as made
+from tests.formats.organised_files import Scan, e57_fields, grid_points, ptx_scan, write_e57
+from tests.formats.packets import captures
 
 N_LINES = 14
 M = 24
@@ -133,66 +135,61 @@ def _flat() -> dict[str, np.ndarray]:
 
 
 def _las(
-    version: str,
-    point_format: int,
-    *,
-    compressed: bool,
-    with_range: bool = True,
-    minor: int | None = None,
+    version: str, point_format: int, *, compressed: bool = False, with_range: bool = True
 ) -> bytes:
-    points = _flat()
     header = laspy.LasHeader(version=version, point_format=point_format)
     header.scales = np.full(3, 0.001)
     header.offsets = np.zeros(3)
     if with_range:
-        header.add_extra_dim(laspy.ExtraBytesParams("range", np.float32))
-        header.add_extra_dim(
-            laspy.ExtraBytesParams(
-                "scan_line", np.uint16, scales=np.array([1.0]), offsets=np.zeros(1)
-            )
-        )
-        header.add_extra_dim(laspy.ExtraBytesParams("column", np.uint16))
+        unit = {"scales": np.ones(1), "offsets": np.zeros(1)}
+        header.add_extra_dim(laspy.ExtraBytesParams("range", "f4"))
+        header.add_extra_dim(laspy.ExtraBytesParams("scan_line", "u2", **unit))
+        header.add_extra_dim(laspy.ExtraBytesParams("column", "u2"))
     header.vlrs.append(laspy.VLR("hello", 7, "a description", b"some text"))
     header.vlrs.append(laspy.VLR("LASF_Projection", 2112, "wkt", b'PROJCS["made up"]\0'))
     data = laspy.LasData(header)
-    data.x = points["x"]
-    data.y = points["y"]
-    data.z = points["z"]
-    data.classification = points["class"]
-    if point_format >= 6:
-        data.scan_angle = (points["angle"] / 0.006).astype(np.int64).clip(-30000, 30000)
-    else:
-        data.scan_angle_rank = (points["angle"] - 180).clip(-90, 90)
-    if "gps_time" in header.point_format.dimension_names:
-        data.gps_time = points["time"]
-    if with_range:
-        data.range = points["range"]
-        data.scan_line = points["line"]
-        data.column = points["column"]
+    points = _flat()
+    columns = points | {
+        "classification": points["class"],
+        "gps_time": points["time"],
+        "scan_line": points["line"],
+        "scan_angle": (points["angle"] / 0.006).astype(np.int64).clip(-30000, 30000),
+        "scan_angle_rank": (points["angle"] - 180).clip(-90, 90),
+    }
+    names = {"x", "y", "z", *header.point_format.dimension_names}
+    for name in names & set(columns):
+        data[name] = columns[name]
     if version == "1.4":
-        data.evlrs = laspy.vlrs.vlrlist.VLRList(
-            [laspy.VLR("extended", 9, "an extended one", b"y" * 40)]
-        )
+        extended = laspy.VLR("extended", 9, "an extended one", b"y" * 40)
+        data.evlrs = laspy.vlrs.vlrlist.VLRList([extended])
     out = io.BytesIO()
     data.write(out, do_compress=compressed)
-    raw = bytearray(out.getvalue())
-    if minor is not None:
-        raw[25] = minor
-    return bytes(raw)
+    return out.getvalue()
+
+
+def _text(delimiter: str, columns: dict[str, Any]) -> bytes:
+    """A row a record below the names."""
+    rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
+    lines = [delimiter.join(columns), *(delimiter.join(map(repr, row)) for row in rows)]
+    return ("\n".join(lines) + "\n").encode()
 
 
 def _csv() -> bytes:
-    rows = ["scan_line,column,angle_deg,range,x,y,z,time,class"]
     points = _flat()
-    columns = zip(
-        *(
-            points[name].tolist()
-            for name in ("line", "column", "angle", "range", "x", "y", "z", "time", "class")
-        ),
-        strict=True,
-    )
-    rows += [",".join(map(repr, row)) for row in columns]
-    return ("\n".join(rows) + "\n").encode()
+    first = {"scan_line": points["line"], "column": points["column"], "angle_deg": points["angle"]}
+    rest = ("range", "x", "y", "z", "time", "class")
+    return _text(",", first | {name: points[name] for name in rest})
+
+
+def _trajectory_csv() -> bytes:
+    time_s = np.arange(-0.1, N_LINES / LINE_HZ + 0.2, 0.02).round(3)
+    still = np.zeros(len(time_s))
+    return _text(",", {"time": time_s, "x": 5 * time_s, "y": still, "z": still + 2})
+
+
+def _labels_csv() -> bytes:
+    codes = _flat()["class"]
+    return _text(",", {"record": np.arange(len(codes)), "class": codes})
 
 
 def _zst(data: bytes) -> bytes:
@@ -231,8 +228,6 @@ def _parquet() -> bytes:
 
 
 def _e57() -> bytes:
-    from tests.formats.organised_files import Scan, e57_fields, grid_points, write_e57
-
     fields = e57_fields(grid_points(N_LINES, M))
     scan = Scan(
         fields, rotation=(1.0, 0.0, 0.0, 0.0), bounds=(0, M - 1, 0, N_LINES - 1), limits=(0.0, 1.0)
@@ -241,14 +236,7 @@ def _e57() -> bytes:
 
 
 def _ptx() -> bytes:
-    from tests.formats.organised_files import grid_points, ptx_scan
-
     return "".join(ptx_scan(grid_points(N_LINES, M, seed)) for seed in (1, 2)).encode()
-
-
-def _trajectory_csv() -> bytes:
-    times = np.arange(-0.1, N_LINES / LINE_HZ + 0.2, 0.02)
-    return ("time,x,y,z\n" + "".join(f"{t:.3f},{5 * t:.3f},0.0,2.0\n" for t in times)).encode()
 
 
 def _sbet() -> bytes:
@@ -275,84 +263,55 @@ def _raw() -> bytes:
     return record.tobytes()
 
 
-def _labels_csv() -> bytes:
-    points = _flat()
-    rows = "".join(f"{index},{code}\n" for index, code in enumerate(points["class"].tolist()))
-    return ("record,class\n" + rows).encode()
-
-
 def _recorded(name: str) -> bytes:
     """A bag of every container: two scanners, and a topic that is not read."""
-    from tests.formats.bags import recordings as made
-
     clouds = made.clouds(made.drive(60), made.kind_of("t", "u4", ring="u1"), every=20)
     stem, _, kind = name.partition(".")
-    packing = "" if stem in ("plain", "cloud") else stem
+    packing = {"plain": "", "cloud": "", "mixed": "zstd"}.get(stem, stem)
+    version = 1 if kind == "bag" else 2
+    lasers = [*made.lasers(version), *made.lasers(version, "/left", "left", 2)]
+    sent = {
+        "cloud": clouds,
+        "mixed": [*clouds, *made.echoes(2, [[3.0, 5.0], [], [7.0]], n=12, topic="/echoes")],
+    }.get(stem, [*lasers, *made.strings(version)])
     if kind == "bag":
-        lasers = [*made.lasers(1), *made.lasers(1, "/left", "left", 2), *made.strings(1)]
-        return written(name, lambda path: made.write_bag(path, lasers, packing, 3000))
-    sent = [*made.lasers(2), *made.lasers(2, "/left", "left", 2), *made.strings(2)]
-    if stem == "cloud":
-        sent = clouds
-    if stem == "mixed":
-        packing = "zstd"
-        sent = [*clouds, *_echoes()]
+        return written(name, lambda path: made.write_bag(path, sent, packing, 3000))
     if kind == "db3":
         return written(name, lambda path: made.write_db3(path, sent, packed=bool(packing)))
     return written(name, lambda path: made.write_mcap(path, sent, packing or "none", 3000))
 
 
-def _echoes() -> list[Any]:
-    from tests.formats.bags import recordings as made
-
-    sent = []
-    for i in range(12):
-        lists = [[3.0, 5.0 + i], [], [7.0]]
-        message = made.echoes(made.STORES[2], made.START_NS + i, lists, lists)
-        kind = "sensor_msgs/msg/MultiEchoLaserScan"
-        sent.append(made.Sent("/echoes", kind, made.START_NS + i, message))
-    return sent
-
-
 def _captured(name: str) -> bytes:
-    """A capture of a Velodyne, some of it in fragments, or of an Ouster."""
-    from tests.formats.packets import captures as made
-
+    """A capture of a Velodyne, some of it in fragments, of several Hesai, or of an Ouster."""
     if name.startswith("ouster"):
-        frames = made.framed(made.ouster()[1], 7502)
+        frames = captures.framed(captures.ouster()[1], 7502)
     elif name.startswith("hesai"):
         packets = [
-            made.hesai("40P", 6, mode=0x37)[0],
-            made.hesai("OT128", 6, mode=0x39)[0],
-            made.hesai("64", 6, mode=0x39)[0],
-            made.velodyne(9, 0xA1),
+            captures.hesai("40P", 6)[0],
+            captures.hesai("OT128", 6, mode=0x39)[0],
+            captures.hesai("64", 6, mode=0x39)[0],
+            captures.velodyne(9, 0xA1),
         ]
-        frames = [frame for i, sent in enumerate(packets) for frame in made.framed(sent, 2368 + i)]
+        frames = []
+        for i, sent in enumerate(packets):
+            frames += captures.framed(sent, 2368 + i)
     else:
-        frames = made.framed(made.vlp16(6))
-        body = made.udp(made.vlp16(7)[6])
-        for offset in (0, 600):
-            part = body[offset : offset + 600 * (1 + offset)]
-            fragment = made.ip4(part, offset=offset, more=not offset, number=9)
-            frames.append((frames[-1][0] + 1e-3, made.ethernet(fragment)))
-    write = made.write_pcapng if name.endswith("ng") else made.write_pcap
+        frames = captures.framed(captures.vlp16(6))
+        body = captures.udp(captures.vlp16(7)[6])
+        for offset, part in ((0, body[:600]), (600, body[600:])):
+            fragment = captures.ip4(part, offset=offset, more=not offset, number=9)
+            frames.append((frames[-1][0] + 1e-3, captures.ethernet(fragment)))
+    write = captures.write_pcapng if name.endswith("ng") else captures.write_pcap
     return written(name, lambda path: write(path, frames))
 
 
 def _poses(name: str) -> bytes:
     """The trajectory with orientations."""
-    from tests.formats.bags import recordings as made
     from tests.formats.test_poses import odometry, poses, tum
 
     if name.endswith("tum"):
         return written(name, lambda path: tum(path, poses()))
     return written(name, lambda path: made.write_mcap(path, odometry(poses())))
-
-
-def _metadata() -> bytes:
-    from tests.formats.packets import captures as made
-
-    return json.dumps(made.ouster()[0]).encode()
 
 
 PULSES = (
@@ -374,10 +333,6 @@ def _pulse_folder() -> dict[str, bytes]:
     with tempfile.TemporaryDirectory() as folder:
         cloud_files.pulse_folder(Path(folder) / "p", 8, 24)
         return {path.name: path.read_bytes() for path in (Path(folder) / "p").iterdir()}
-
-
-def _pulses(name: str) -> bytes:
-    return _pulse_folder()[name]
 
 
 def _copc(point_format: int) -> bytes:
@@ -425,17 +380,7 @@ def _state() -> dict[str, bytes]:
             "version": "0.1.0",
             "token": "0" * 32,
         }
-        typed = [
-            "pulses",
-            "out",
-            "--preset",
-            "prc-2019-urban",
-            "--jobs",
-            "1",
-            "-q",
-            "--include",
-            "*.bin",
-        ]
+        typed = ["pulses", "out", "--preset", "prc-2019-urban", "--jobs", "1", "-q"]
         command = {"schema": 2, "folder": "/", "arguments": typed}
         return {
             ".prc/journal.sqlite": (folder / "journal.sqlite").read_bytes(),
@@ -492,18 +437,16 @@ def _frame() -> dict[str, np.ndarray]:
 
 SEEDS: dict[str, Callable[[], bytes]] = {
     **{
-        f"pf{n}.las": lambda n=n: _las(
-            "1.2" if n < 4 else "1.3" if n < 6 else "1.4", n, compressed=False
-        )
+        f"pf{n}.las": lambda n=n: _las("1.2" if n < 4 else "1.3" if n < 6 else "1.4", n)
         for n in range(11)
     },
     **{
         f"pf{n}.laz": lambda n=n: _las("1.2" if n < 4 else "1.4", n, compressed=True)
         for n in (0, 1, 2, 3, 6, 7, 8)
     },
-    "v10.las": lambda: _las("1.2", 1, compressed=False, minor=0),
-    "v11.las": lambda: _las("1.1", 1, compressed=False),
-    "plain.las": lambda: _las("1.4", 6, compressed=False, with_range=False),
+    "v10.las": lambda: _las("1.1", 1).replace(b"\1\1", b"\1\0", 1),
+    "v11.las": lambda: _las("1.1", 1),
+    "plain.las": lambda: _las("1.4", 6, with_range=False),
     "a.csv": _csv,
     "a.csv.gz": lambda: gzip.compress(_csv(), mtime=0),
     "a.csv.zst": lambda: _zst(_csv()),
@@ -541,12 +484,12 @@ SEEDS: dict[str, Callable[[], bytes]] = {
         name: lambda name=name: _captured(name) if "pcap" in name else _recorded(name)
         for name in RECORDINGS
     },
-    "ouster.json": _metadata,
+    "ouster.json": lambda: json.dumps(captures.ouster()[0]).encode(),
     **{f"copc{n}.laz": lambda n=n: _copc(n) for n in (6, 7)},
-    **{f"pulses/{name}": lambda name=name: _pulses(name) for name in PULSES},
+    **{f"pulses/{name}": lambda name=name: _pulse_folder()[name] for name in PULSES},
     **{f"state/{name}": lambda name=name: _state()[name] for name in STATE_FILES},
     "labelled/a.npy": lambda: _npy(_flat()["class"].astype(np.uint8)),
-    "labelled/a.npy.prc.json": lambda: _record(),
+    "labelled/a.npy.prc.json": _record,
     "simulate.toml": lambda: b"seed = 3\nlength_m = 5.0\n[scanner]\npoints_per_line = 24\n",
 }
 """Content of a valid file by its name."""
@@ -563,13 +506,3 @@ def write_seeds(folder: Path) -> None:
     for name in SEEDS:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(seed(name))
-
-
-def las_vlrs(data: bytes) -> list[int]:
-    """First byte of every VLR of a valid LAS file."""
-    offset = struct.unpack_from("<H", data, 94)[0]
-    records = []
-    for _ in range(struct.unpack_from("<I", data, 100)[0]):
-        records.append(offset)
-        offset += 54 + struct.unpack_from("<H", data, offset + 20)[0]
-    return records

@@ -27,10 +27,6 @@ def image(n_lines: int = 7, m: int = 5) -> np.ndarray[Any, Any]:
     return ranges
 
 
-def config(**keys: Any) -> InputConfig:
-    return InputConfig(**keys)
-
-
 def whole(stream: ScanStream) -> ScanBlock:
     """The stream as one block; a typed parameter, so that mypy holds ArrayStream to the
     protocol."""
@@ -63,34 +59,25 @@ def refused(path: Path, rules: InputConfig = AUTO) -> str:
     return message.replace(f"{path.parent}/", "")
 
 
-@pytest.mark.parametrize("chunk", [1, 200, 1 << 19])
+@pytest.mark.parametrize("chunk", [1, 200])
 @pytest.mark.parametrize("clue", ["xyz", "angles", "M"])
 @pytest.mark.parametrize("order", ["C", "F"])
 def test_rows_that_are_rings_are_exchanged(
-    tmp_path: Path,
-    chunk: int,
-    clue: str,
-    order: Literal["C", "F"],
+    tmp_path: Path, chunk: int, clue: str, order: Literal["C", "F"]
 ) -> None:
     """Rings x azimuth was taken for lines: PRC, or refused."""
-    elevation = np.deg2rad(np.linspace(-25, 2, 16))[:, None]
-    azimuth = np.linspace(0, 2 * np.pi, 90)[None]
+    elevation = np.deg2rad(np.linspace(-25, 2, 16))
+    azimuth = np.linspace(0, 2 * np.pi, 90)
     ranges = (np.arange(16 * 90).reshape(16, 90) / 100 + 2).astype(np.float32)
-    arrays: dict[str, Any] = {"range_m": ranges, "intensity": 2 * ranges}
-    if clue == "xyz":
-        across = np.cos(elevation) * np.stack([np.cos(azimuth), np.sin(azimuth)])
-        arrays["xyz"] = ranges[..., None] * np.stack(
-            [*across, np.broadcast_to(np.sin(elevation), ranges.shape)], -1
-        )
-    elif clue == "angles":
-        arrays["zenith_deg"] = 90 - np.rad2deg(elevation[:, 0])
-    np.savez(
-        tmp_path / "a.npz",
-        **{name: np.asarray(value, order=order) for name, value in arrays.items()},
-    )
-    stream = ArrayStream(
-        tmp_path / "a.npz", config(points_per_line=16 if clue == "M" else None), chunk_shots=chunk
-    )
+    flat = ranges * np.cos(elevation)[:, None]
+    height = ranges * np.sin(elevation)[:, None]
+    xyz = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), height], axis=-1)
+    beside = {"xyz": {"xyz": xyz}, "angles": {"zenith_deg": 90 - np.rad2deg(elevation)}, "M": {}}
+    arrays = {"range_m": ranges, "intensity": 2 * ranges, **beside[clue]}
+    path = tmp_path / "a.npz"
+    np.savez(path, **{name: np.asarray(value, order=order) for name, value in arrays.items()})
+    rules = InputConfig(points_per_line=16 if clue == "M" else None)
+    stream = ArrayStream(path, rules, chunk_shots=chunk)
     assert (stream.info.n_lines, stream.info.points_per_line) == (90, 16)
     block = whole(stream)
     np.testing.assert_array_equal(block.range_m, ranges.T)
@@ -98,9 +85,7 @@ def test_rows_that_are_rings_are_exchanged(
     np.testing.assert_array_equal(ranges.ravel()[block.records()], ranges.T)
     assert any(assumption.key == "input.lines" for assumption in stream.info.assumptions)
     if clue == "xyz":
-        np.testing.assert_array_equal(
-            block.xyz_m, arrays["xyz"].transpose(1, 0, 2).astype(np.float32)
-        )
+        np.testing.assert_array_equal(block.xyz_m, xyz.transpose(1, 0, 2).astype(np.float32))
 
 
 @pytest.mark.parametrize(
@@ -182,7 +167,7 @@ def test_arrays_that_do_not_fit_the_ranges(
 )
 def test_rules_that_an_image_cannot_follow(tmp_path: Path, keys: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match=f"input.{next(iter(keys))}: .*range image.*; leave"):
-        ArrayStream(save(tmp_path, image()), config(**keys))
+        ArrayStream(save(tmp_path, image()), InputConfig(**keys))
 
 
 # --- damaged files
@@ -233,17 +218,11 @@ def test_a_file_that_changes_between_opening_and_reading(tmp_path: Path) -> None
         whole(stream)
 
 
-def big_npz(folder: Path, compressed: bool) -> bytes:
-    rng = np.random.default_rng(1)
-    return save_npz(
-        folder, compressed=compressed, range_m=rng.uniform(1, 9, (5000, 40)).astype(np.float32)
-    ).read_bytes()
-
-
 @pytest.mark.parametrize("compressed", [True, False])
 def test_damaged_archives(tmp_path: Path, compressed: bool) -> None:
-    raw = big_npz(tmp_path, compressed)
-    path = tmp_path / "scan.npz"
+    ranges = np.random.default_rng(1).uniform(1, 9, (500, 40)).astype(np.float32)
+    path = save_npz(tmp_path, compressed=compressed, range_m=ranges)
+    raw = path.read_bytes()
     for broken in (raw[: len(raw) // 2], b"", b"1,2,3\n", raw[:-10]):
         path.write_bytes(broken)
         assert refused(path).startswith("scan.npz: not a whole npz archive, which is a zip file (")
@@ -251,19 +230,9 @@ def test_damaged_archives(tmp_path: Path, compressed: bool) -> None:
     flipped[len(raw) // 2] ^= 0xFF
     path.write_bytes(flipped)
     assert refused(path).startswith("scan.npz: range_m: ")
-
-
-def test_an_archive_whose_member_does_not_hold_what_its_header_says(tmp_path: Path) -> None:
+    # a member that does not hold what its own header says
     content = io.BytesIO()
     np.save(content, image())
-    for change, message in (
-        (
-            content.getvalue()[:-4],
-            "range_m: found 136 bytes of numbers, expected 140 for shape (7, 5)",
-        ),
-        (content.getvalue() + b"1", "range_m: found 141 bytes of numbers, expected 140"),
-        (b"text", "range_m: no npy header (EOF: reading magic string"),
-    ):
-        with zipfile.ZipFile(tmp_path / "scan.npz", "w") as archive:
-            archive.writestr("range_m.npy", change)
-        assert message in refused(tmp_path / "scan.npz")
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("range_m.npy", content.getvalue()[:-4])
+    assert "range_m: found 136 bytes of numbers, expected 140 for shape (7, 5)" in refused(path)

@@ -76,26 +76,28 @@ def laser(
 
 
 def echoes(
-    store: Any,
-    time_ns: int,
-    lists: list[list[float]],
-    lit: list[list[float]],
-) -> Any:
+    version: int,
+    ranges: list[list[float]],
+    intensities: list[list[float]] | None = None,
+    *,
+    n: int = 3,
+    topic: str = "/scan",
+) -> list[Sent]:
+    """Messages of shots with so many echoes; their intensities are the ranges unless given."""
+    store = STORES[version]
     echo = store.types["sensor_msgs/msg/LaserEcho"]
-    range_echoes = [echo(np.array(values, np.float32)) for values in lists]
-    light_echoes = [echo(np.array(values, np.float32)) for values in lit]
-    return store.types["sensor_msgs/msg/MultiEchoLaserScan"](
-        header(store, time_ns, "laser"),
-        -1.5,
-        1.5,
-        0.1,
-        1e-5,
-        0.02,
-        0.1,
-        100.0,
-        range_echoes,
-        light_echoes,
-    )
+    kind = "sensor_msgs/msg/MultiEchoLaserScan"
+    shots = [
+        [echo(np.array(values, np.float32)) for values in lists]
+        for lists in (ranges, intensities or ranges)
+    ]
+    setup = (-1.5, 1.5, 0.1, 1e-5, 0.02, 0.1, 100.0)
+    return [
+        Sent(
+            topic, kind, time_ns, store.types[kind](header(store, time_ns, "laser"), *setup, *shots)
+        )
+        for time_ns in range(START_NS, START_NS + n * PERIOD_NS, PERIOD_NS)
+    ]
 
 
 def lasers(
@@ -174,35 +176,27 @@ def write_mcap(
     return path
 
 
-def write_db3(
-    path: Path,
-    sent: list[Sent],
-    *,
-    packed: bool = False,
-) -> Path:
+def write_db3(path: Path, sent: list[Sent], *, packed: bool = False) -> Path:
     """Write a database as rosbag2 does."""
-    store = STORES[2]
     base = sqlite3.connect(path)
-    base.execute(
+    base.executescript(
         "CREATE TABLE topics(id INTEGER PRIMARY KEY,name TEXT NOT NULL,type TEXT NOT NULL,"
-        "serialization_format TEXT NOT NULL,offered_qos_profiles TEXT NOT NULL)"
-    )
-    base.execute(
+        "serialization_format TEXT NOT NULL,offered_qos_profiles TEXT NOT NULL);"
         "CREATE TABLE messages(id INTEGER PRIMARY KEY,topic_id INTEGER NOT NULL,timestamp "
-        "INTEGER NOT NULL, "
-        "data BLOB NOT NULL)"
+        "INTEGER NOT NULL, data BLOB NOT NULL)"
     )
-    names = list(dict.fromkeys((message.topic, message.kind) for message in sent))
-    for number, (topic, kind) in enumerate(names, 1):
-        base.execute("INSERT INTO topics VALUES(?, ?, ?, 'cdr', '')", (number, topic, kind))
+    kinds = {message.topic: message.kind for message in sent}
+    numbers = {topic: number for number, topic in enumerate(kinds, 1)}
+    topics = [(numbers[topic], topic, kind) for topic, kind in kinds.items()]
+    base.executemany("INSERT INTO topics VALUES(?, ?, ?, 'cdr', '')", topics)
     for message in sorted(sent, key=lambda message: message.time_ns):
-        data = bytes(store.serialize_cdr(message.message, message.kind))
-        data = zstandard.compress(data) if packed else data
-        number = names.index((message.topic, message.kind)) + 1
-        base.execute(
-            "INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)",
-            (number, message.time_ns, data),
+        data = bytes(STORES[2].serialize_cdr(message.message, message.kind))
+        row = (
+            numbers[message.topic],
+            message.time_ns,
+            zstandard.compress(data) if packed else data,
         )
+        base.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)", row)
     base.commit()
     base.close()
     return path

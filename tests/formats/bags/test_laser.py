@@ -53,3 +53,4 @@ def test_parts_of_a_line_join(tmp_path: Path) -> None:
     assert "4 messages are a line of 40 beams" in stream.info.facts.notes[0]
     assert block.time_s is not None
     assert np.allclose(np.diff(block.time_s[:, ::10], axis=1), made.PERIOD_NS * 1e-9, atol=1e-6)
+    assert block.tally.n_unplaced == 0

@@ -1,5 +1,5 @@
-"""Clouds of bags: units of times, pauses, times out of place, repeats, points without ring or
-time."""
+"""Clouds of bags: numbers of rings, units of times, pauses, times out of place, repeats, points
+without ring or time."""
 
 from __future__ import annotations
 
@@ -183,3 +183,34 @@ def test_clouds_that_cannot_be_read_say_which_field_is_missing(
     assert "not supported" in caught.value.hint
     with pytest.raises(InputError, match="not supported"):
         BagStream(path, InputConfig(topic="/points"))
+
+
+def test_fields_of_an_unknown_type_are_refused(tmp_path: Path) -> None:
+    sent = messages(made.drive(200))
+    sent[0].message.fields[0].datatype = 99
+    with pytest.raises(InputError, match="has fields of an unknown type"):
+        read_cloud(tmp_path, sent)
+
+
+def test_two_scanners_in_one_cloud_are_refused(tmp_path: Path) -> None:
+    drive = made.drive(400, together=True)
+    turned = {**drive, "xyz": drive["xyz"] @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])}
+    both = {name: np.concatenate([values, turned[name]]) for name, values in drive.items()}
+    with pytest.raises(InputError, match="each with azimuths all around"):
+        read_cloud(tmp_path, messages(both))
+
+
+@pytest.mark.parametrize(
+    ("numbers", "note"),
+    [
+        (1 + np.arange(8), ""),
+        (4 * np.arange(8), "in steps of 4"),
+        (2 + 8 * np.arange(8), "steps"),
+        (np.array([0, 1, 5, 9, 20, 21, 40, 90]), "in their order"),
+    ],
+)
+def test_numbers_of_rings_may_have_gaps(tmp_path: Path, numbers: np.ndarray, note: str) -> None:
+    drive = made.drive(400, together=True)
+    stream, block = read_cloud(tmp_path, messages({**drive, "ring": numbers[drive["ring"]]}))
+    np.testing.assert_allclose(block.range_m, drive["range"].reshape(400, 8), rtol=1e-5)
+    assert note in " ".join(stream.info.facts.notes)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from plyfile import PlyData
 
-from prc_cli.cli import main
 from prc_cli.core.blocks import join
+from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import InputError
 from prc_cli.formats import binary
 from prc_cli.formats.clouds.pcd import decode_lzf
@@ -17,6 +21,7 @@ from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.records import Source
 from prc_cli.streams.open import open_input
 from tests.formats.cloud_files import Array, lzf, pcd, ply
+from tests.formats.common import random_labels, record_blocks, write
 
 FORMS = ("ascii", "binary_little_endian", "binary_big_endian")
 N = 700
@@ -51,13 +56,8 @@ def test_every_form_gives_the_same_values(tmp_path: Path, form: str) -> None:
     source = opened(path)
     assert source.n_records == N
     values = read(source, ("time", "angle", "range", "ring"))
-    for name, expected in (
-        ("time", "GPS_time"),
-        ("angle", "theta"),
-        ("range", "range"),
-        ("ring", "ring"),
-    ):
-        np.testing.assert_array_equal(values[name], made[expected])
+    for name, stored in zip(values, made, strict=True):
+        np.testing.assert_array_equal(values[name], made[stored])
 
 
 def test_returns_that_are_listed_again_are_not_shots(tmp_path: Path) -> None:
@@ -74,25 +74,21 @@ def test_returns_that_are_listed_again_are_not_shots(tmp_path: Path) -> None:
         for shot, n in enumerate(n_echo.tolist())
         for echo, count in lists[n]
     ]
-    time, theta, range_m, echo, count = (np.array(column) for column in zip(*rows, strict=True))
+    names = {"GPS_time": "f8", "theta": "f4", "range": "f4", "num_echo": "u1", "nb_of_echo": "u1"}
     made = {
-        "GPS_time": time,
-        "theta": theta.astype("f4"),
-        "range": range_m.astype("f4"),
-        "num_echo": echo.astype("u1"),
-        "nb_of_echo": count.astype("u1"),
-        "amplitude": -range_m.astype("f4"),
+        name: np.array(values, kind)
+        for (name, kind), values in zip(names.items(), zip(*rows, strict=True), strict=True)
     }
     path.write_bytes(ply(made, "binary_big_endian"))
     source = opened(path)
     n_copies = int(np.sum(n_echo == 2) + 3 * np.sum(n_echo == 3))
     assert any(
-        note.startswith(f"{n_copies} of the first {len(time)} rows repeat an earlier return")
+        note.startswith(f"{n_copies} of the first {len(rows)} rows repeat an earlier return")
         for note in source.facts.notes
     )
     block = join(list(open_input(Input.of(path), InputConfig()).blocks()))
     assert np.isfinite(block.range_m).sum() == 400
-    assert len(block.extra) == len(time) - 400
+    assert len(block.extra) == len(rows) - 400
     assert block.tally.n_collisions == 0
     np.testing.assert_array_equal(block.range_m[np.isfinite(block.range_m)], 6.0)
 
@@ -126,80 +122,56 @@ def test_shots_do_not_depend_on_chunks(
     )[:-1].tolist()
 
 
+VERTEX = "format ascii 1.0\nelement vertex 1\n"
+RANGE = "property float range\n"
+
+
 @pytest.mark.parametrize(
     ("head", "message"),
     [
-        (
-            (
-                "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float "
-                "range\nend_header\n"
-            ),
-            "in point 1",
-        ),
-        (
-            (
-                "ply\nformat ascii 1.0\nelement vertex 99999\nproperty float range\nproperty "
-                "int a\nend_header\n1 2\n"
-            ),
-            "after 1",
-        ),
-        (
-            "ply\nformat binary 1.0\nelement vertex 1\nproperty float range\nend_header\n",
-            "found format",
-        ),
-        (
-            "ply\nformat ascii 1.0\nelement vertex 1\nproperty real range\nend_header\n1\n",
-            "found the type 'real'",
-        ),
-        (
-            "ply\nformat ascii 1.0\nelement vertex -1\nproperty float range\nend_header\n1\n",
-            "expected a whole number",
-        ),
-        (
-            "ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int a\nend_header\n1 1\n",
-            "is a list",
-        ),
-        (
-            "ply\nformat ascii 1.0\nelement face 1\nproperty float a\nend_header\n1\n",
-            "no element vertex, it has face",
-        ),
-        ("ply\nformat ascii 1.0\nelement vertex 0\nproperty float a\nend_header\n", "no points"),
-        (
-            (
-                "ply\nformat ascii 1.0\nelement vertex 1\nproperty int a\nproperty int "
-                "a\nend_header\n1 1\n"
-            ),
-            "second time",
-        ),
-        ("ply\nformat ascii 1.0\nelement vertex 1\n", "no line end_header"),
-        ("plx\n", "expected ply"),
+        (f"format binary_little_endian 1.0\nelement vertex 3\n{RANGE}", "in point 1"),
+        (f"format ascii 1.0\nelement vertex 99999\n{RANGE}property int a\n", "after 1"),
+        (f"format binary 1.0\nelement vertex 1\n{RANGE}", "found format"),
+        (f"{VERTEX}property real range\n", "found the type 'real'"),
+        (f"format ascii 1.0\nelement vertex -1\n{RANGE}", "expected a whole number"),
+        (f"{VERTEX}property list uchar int a\n", "is a list"),
+        (f"format ascii 1.0\nelement face 1\n{RANGE}", "no element vertex, it has face"),
+        (f"format ascii 1.0\nelement vertex 0\n{RANGE}", "no points"),
+        (f"{VERTEX}property int a\nproperty int a\n", "second time"),
     ],
 )
 def test_headers_that_lie(tmp_path: Path, head: str, message: str) -> None:
     path = tmp_path / "a.ply"
-    path.write_bytes(head.encode() + b"\0\0\0\0\0" * ("binary_l" in head))
+    path.write_bytes(f"ply\n{head}end_header\n1 2\n".encode())
     with pytest.raises(InputError, match=message):
         for _ in opened(path).chunks(()):
             pass
+
+
+@pytest.mark.parametrize(
+    ("text", "message"), [(f"ply\n{VERTEX}", "no line end_header"), ("plx\n", "expected ply")]
+)
+def test_what_is_no_header(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "a.ply").write_text(text)
+    with pytest.raises(InputError, match=message):
+        opened(tmp_path / "a.ply")
 
 
 @pytest.mark.data
 @pytest.mark.parametrize("number", [1, 4])
 def test_the_profiler_of_ign(real_data: Path, number: int) -> None:
     """The cells of the stream hold what plyfile reads, at the angle that the row says."""
-    plyfile = pytest.importorskip("plyfile")
     path = real_data / "riegl" / f"sample_riegl_18_0{number}.ply"
-    row = plyfile.PlyData.read(str(path))["vertex"].data
+    row = PlyData.read(str(path))["vertex"].data
     stream = open_input(Input.of(path), InputConfig())
     block = join(list(stream.blocks()))
     assert stream.info.points_per_line == 2917
-    record = np.asarray(block.record)
+    record = block.records()
     there = record >= 0
     np.testing.assert_array_equal(block.range_m[there], row["range"][record[there]])
     angle = np.broadcast_to(np.asarray(stream.info.angle_rad), there.shape)[there]
-    away = angle - row["theta"][record[there]]
-    away -= 2 * np.pi * np.rint(away / (2 * np.pi))
-    assert np.abs(away).max() < 2.1 * 2 * np.pi / 2917
+    away = np.unwrap(np.stack([row["theta"][record[there]], angle]), axis=0)
+    assert np.abs(np.diff(away, axis=0)).max() < 2.1 * 2 * np.pi / 2917
     seen = np.sort(np.concatenate([record[there], block.extra.record]))
     np.testing.assert_array_equal(seen, np.arange(len(row)))
     n_shots = len(np.unique(row["GPS_time"]))
@@ -252,11 +224,28 @@ def test_pcd_headers_that_lie(
         Input.of(path).records()
 
 
-def test_lzf_gives_back_what_was_packed() -> None:
-    rng = np.random.default_rng(0)
-    for size in (0, 1, 2, 31, 32, 33, 500, 20_000):
-        for data in (bytes(size), rng.bytes(size), rng.integers(0, 3, size, np.uint8).tobytes()):
-            assert decode_lzf(memoryview(lzf(data)), size) == data
+@given(
+    st.lists(
+        st.binary(min_size=1, max_size=32) | st.tuples(st.integers(0, 8191), st.integers(3, 264)),
+        max_size=50,
+    )
+)
+def test_lzf_is_what_its_tokens_say(tokens: list[bytes | tuple[int, int]]) -> None:
+    """Literals, and copies from so many bytes back of so many bytes."""
+    packed = bytearray()
+    data = bytearray(b"a")
+    for token in (b"a", *tokens):
+        if isinstance(token, bytes):
+            packed += bytes([len(token) - 1]) + token
+            data += token if len(packed) > 2 else b""
+            continue
+        back = token[0] % len(data)
+        for _ in range(token[1]):
+            data.append(data[-back - 1])
+        length = token[1] - 2
+        packed.append(min(length, 7) << 5 | back >> 8)
+        packed += bytes([length - 7, back & 255] if length >= 7 else [back & 255])
+    assert decode_lzf(memoryview(packed), len(data)) == data
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -270,84 +259,28 @@ def test_damaged_lzf_is_told(seed: int) -> None:
         assert unpacked is None or len(unpacked) == 900
 
 
-SUFFIXES = ("ply", "pcd")
-
-
-def run(words: list[str]) -> int:
-    """Run a command; return its exit code."""
-    with pytest.raises(SystemExit) as left:
-        main(words)
-    return int(str(left.value.code))
-
-
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A simulated drive, as an archive of arrays, with its labels."""
-    folder = tmp_path_factory.mktemp("drive")
-    options = [
-        "simulate",
-        "street",
-        str(folder / "s.npz"),
-        "--lines",
-        "40",
-        "--scanner",
-        "sick-push-broom",
-        "-q",
-    ]
-    assert run([*options, "--seed", "5"]) == 0
-    assert run(
-        [
-            "classify",
-            str(folder / "s.npz"),
-            str(folder / "s.npy"),
-            "--preset",
-            "prc-2019-urban",
-            "-q",
-        ]
-    ) in (0, 4)
-    return folder
-
-
 @pytest.mark.parametrize("form", ["ascii", "binary_big_endian"])
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_cloud_keeps_its_properties(
-    drive: Path,
-    tmp_path: Path,
-    form: str,
-    suffix: str,
-) -> None:
+@pytest.mark.parametrize("suffix", [".ply", ".pcd"])
+def test_a_cloud_keeps_its_properties(tmp_path: Path, form: str, suffix: str) -> None:
     """Class, line and column are added to what was there; plyfile reads it."""
-    plyfile = pytest.importorskip("plyfile")
-    image = join(list(open_input(Input.of(drive / "s.npz"), InputConfig()).blocks())).range_m[
-        :, ::4
-    ]
-    n_lines, m = image.shape
-    line, column = np.divmod(np.arange(image.size, dtype=np.uint32), m)
+    line, column = np.divmod(np.arange(300, dtype=np.uint32), 20)
     made = {
-        "range": np.nan_to_num(image).ravel(),
+        "range": np.linspace(2, 60, 300, dtype=np.float32),
         "scan_line": line,
         "column": column,
-        "quality": np.arange(image.size, dtype=np.int16),
+        "quality": np.arange(300, dtype=np.int16),
     }
-    source = tmp_path / f"g.{suffix}"
-    data = (
-        ply(made, form, ("a comment",))
-        if suffix == "ply"
-        else pcd(made, "ascii" if form == "ascii" else "binary")
-    )
-    source.write_bytes(data)
-    out = tmp_path / "o.ply"
-    assert run(["classify", str(source), str(out), "--preset", "prc-2019-urban", "-q"]) in (0, 4)
-    vertex = plyfile.PlyData.read(str(out))
-    names = [prop.name for prop in vertex["vertex"].properties]
+    source = tmp_path / f"g{suffix}"
+    kind = "ascii" if form == "ascii" else "binary"
+    source.write_bytes(ply(made, form, ("a comment",)) if suffix == ".ply" else pcd(made, kind))
+    labels = random_labels(300)
+    write(tmp_path / "o.ply", source, record_blocks(labels))
+    vertex = PlyData.read(str(tmp_path / "o.ply"))["vertex"]
+    names = [prop.name for prop in vertex.properties]
     assert names == ["range", "quality", "scan_line", "column", "class"]
-    np.testing.assert_array_equal(vertex["vertex"]["quality"], made["quality"])
-    np.testing.assert_array_equal(vertex["vertex"]["scan_line"], line)
-    assert run(
-        ["classify", str(out), str(tmp_path / "l.npy"), "--preset", "prc-2019-urban", "-q"]
-    ) in (0, 4)
-    np.testing.assert_array_equal(np.load(tmp_path / "l.npy"), vertex["vertex"]["class"])
-    assert n_lines == 40
+    for name, values in made.items():
+        np.testing.assert_array_equal(vertex[name], values)
+    np.testing.assert_array_equal(vertex["class"], ClassCodes().lookup()[labels])
 
 
 @pytest.mark.parametrize("has_faces", [False, True])
@@ -364,3 +297,15 @@ def test_bytes_behind_the_points_are_told_unless_the_header_names_them(
     )
     note = "5 bytes behind the last point were left out: the header does not name them"
     assert (note in opened(tmp_path / "a.ply").facts.notes) != has_faces
+
+
+def test_points_that_are_not_compressed_are_named(tmp_path: Path) -> None:
+    """A PCD that says compressed and holds plain points, as pypcd4 writes it."""
+    made = {axis: np.arange(1000, dtype=np.float32) for axis in "xyz"}
+    head, _, _ = pcd(made, "binary_compressed").partition(b"compressed\n")
+    body = np.arange(3000, dtype="<f4").tobytes()
+    sizes = struct.pack("<II", len(body), len(body))
+    (tmp_path / "a.pcd").write_bytes(head + b"compressed\n" + sizes + body)
+    with pytest.raises(InputError, match="the points are not compressed") as caught:
+        opened(tmp_path / "a.pcd")
+    assert "save it again as binary" in caught.value.hint

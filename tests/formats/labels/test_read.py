@@ -104,33 +104,27 @@ def test_rows_of_a_label_file_must_be_in_record_order(tmp_path: Path) -> None:
 
 
 NAMED = ["ground", "Building", "car", "", "class 40", "low vegetation"]
+NAMED_CODES = [2, 6, 65, -1, 40, 3]
 
 
 @pytest.mark.parametrize("head", ["class", "record,x,class", "record;LABEL;y"])
 def test_names_of_classes_in_text_are_codes(tmp_path: Path, head: str) -> None:
+    """The names stand in the column of the header that is no ``x``."""
     delimiter = ";" if ";" in head else ","
-    place = [word.lower() in ("class", "label") for word in head.split(delimiter)].index(True)
+    kinds = head.split(delimiter)
     rows = [
-        [*["7"] * place, name or '""', *["7"] * (head.count(delimiter) - place)] for name in NAMED
+        delimiter.join("7" if kind in "record,x,y" else name or '""' for kind in kinds)
+        for name in NAMED
     ]
     path = tmp_path / "a.csv"
-    path.write_text(
-        "\n".join([head, *(delimiter.join(row) for row in rows)]) + "\n", encoding="utf-8"
-    )
-    assert read(path) == [2, 6, 65, -1, 40, 3]
+    path.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+    assert read(path) == NAMED_CODES
 
 
 def test_names_of_classes_in_parquet_are_codes(tmp_path: Path) -> None:
     names = pa.array([name or None for name in NAMED])
-    assert read(write_parquet(tmp_path / "a.parquet", label=names)) == [2, 6, 65, -1, 40, 3]
-    assert read(write_parquet(tmp_path / "b.parquet", label=names.dictionary_encode())) == [
-        2,
-        6,
-        65,
-        -1,
-        40,
-        3,
-    ]
+    for labels in (names, names.dictionary_encode()):
+        assert read(write_parquet(tmp_path / "a.parquet", label=labels)) == NAMED_CODES
 
 
 def test_unknown_names_of_classes_are_refused_with_the_known_ones(tmp_path: Path) -> None:

@@ -13,11 +13,9 @@ from typing import Any
 import laspy
 import numpy as np
 import pytest
-from laspy.vlrs.known import ClassificationLookupVlr
 
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import InputError, OutputError
-from prc_cli.core.stream import LabelledBlock
 from prc_cli.formats.las.header import standard_bytes
 from prc_cli.formats.las.points import set_classes
 from prc_cli.formats.las.vlrs import names_of_file
@@ -105,14 +103,9 @@ def test_codes_above_31_upgrade_the_format(tmp_path: Path, form: int, suffix: st
         source, form, raw_points=True, vlrs=VLRS[1:], user_bytes=b"user", header_user_bytes=b"mine"
     )
     labels = random_labels(300, FOREST)
-    with writer(output, source) as opened:
-        for block in record_blocks(labels):
-            opened.add(block)
-        opened.finish(run_record())
-    assert any(
-        f"point format {form} cannot hold code 64; upgraded to {UPGRADED[form]}" in text
-        for text in opened.notices
-    )
+    record = write(output, source, record_blocks(labels))
+    told = f"point format {form} cannot hold code 64; upgraded to {UPGRADED[form]}"
+    assert any(told in text for text in record.notices)
     new = parse(output)
     assert np.array_equal(classes(new), ClassCodes().lookup()[labels])
     assert new.form == UPGRADED[form]
@@ -125,15 +118,13 @@ def test_codes_above_31_upgrade_the_format(tmp_path: Path, form: int, suffix: st
     assert new.header[131:227] == old.header[131:227]
     returns = np.bincount(old.records[:, 14] & 7, minlength=16)[1:16]
     assert struct.unpack_from("<15Q", new.data, 255) == tuple(returns)
-    _same_dimensions(source, output, form)
+    _same_dimensions(source, output)
 
 
-def _same_dimensions(source: Path, output: Path, form: int) -> None:
+def _same_dimensions(source: Path, output: Path) -> None:
     old = laspy.read(source)
     new = laspy.read(output)
-    for name in old.point_format.dimension_names:
-        if name in ("classification", "scan_angle_rank"):
-            continue
+    for name in set(old.point_format.dimension_names) - {"classification", "scan_angle_rank"}:
         assert np.asarray(old[name]).tobytes() == np.asarray(new[name]).tobytes(), name
     ranks = np.asarray(old["scan_angle_rank"]).astype(float)
     assert np.abs(np.asarray(new["scan_angle"]) * 0.006 - ranks).max() <= 0.003 + 1e-9
@@ -219,112 +210,92 @@ NAMES = {64: "stem", 65: "car"}
 
 def entries(path: Path) -> dict[int, str]:
     """The names as laspy reads them."""
-    lookups = [
-        vlr for vlr in laspy.read(path).header.vlrs if isinstance(vlr, ClassificationLookupVlr)
-    ]
+    lookups = laspy.read(path).header.vlrs.get("ClassificationLookupVlr")
     assert len(lookups) <= 1
     return dict(lookups[0].lookups) if lookups else {}
 
 
-def stems(n: int = N) -> list[LabelledBlock]:
-    labels = np.full((n // 20, 20), Label.STEM, np.uint8)
-    return [labelled(labels)]
+def names_vlr(path: Path) -> bytes:
+    """The record of the names."""
+    (vlr,) = [vlr for vlr in parse(path).vlrs if vlr[2:20] == b"LASF_Spec".ljust(18, b"\0")]
+    return vlr
+
+
+STEMS = [labelled(np.full((N // 20, 20), Label.STEM, np.uint8))]
 
 
 def named(path: Path, data: bytes) -> Path:
     """A LAS file that names classes itself."""
-    las = laspy.create(point_format=6, file_version="1.4")
-    las.x = np.arange(N)
-    las.header.vlrs.append(laspy.VLR("LASF_Spec", 0, "of the makers", data))
-    las.write(path)
+    make_las(path, 6, vlrs=(vlr_bytes(b"LASF_Spec", 0, data),))
     return path
 
 
 @pytest.mark.parametrize("form", [1, 6])
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 def test_copies_hold_them_and_all_else_stays(tmp_path: Path, form: int, suffix: str) -> None:
-    make_las(tmp_path / f"in{suffix}", form)
-    write(tmp_path / f"out{suffix}", tmp_path / f"in{suffix}", stems(), user_names=NAMES)
-    write(tmp_path / f"plain{suffix}", tmp_path / f"in{suffix}", stems(), user_names={})
-    assert entries(tmp_path / f"out{suffix}") == NAMES
-    out = parse(tmp_path / f"out{suffix}")
+    source = tmp_path / f"in{suffix}"
+    out = tmp_path / f"out{suffix}"
+    make_las(source, form)
+    write(out, source, STEMS, user_names=NAMES)
+    write(tmp_path / f"plain{suffix}", source, STEMS, user_names={})
+    assert entries(out) == NAMES
     plain = parse(tmp_path / f"plain{suffix}")
-    ours = [vlr for vlr in out.vlrs if vlr[2:].startswith(b"LASF_Spec\0") and vlr[18:20] == b"\0\0"]
-    assert len(ours) == 1
-    assert ours[0][54:] == b"".join(
-        struct.pack("<B15s", code, name.encode()) for code, name in NAMES.items()
-    )
-    assert [vlr for vlr in out.kept_vlrs() if vlr not in ours] == plain.kept_vlrs()
-    assert out.records.tobytes() == plain.records.tobytes()
+    assert [vlr for vlr in parse(out).kept_vlrs() if vlr != names_vlr(out)] == plain.kept_vlrs()
+    assert parse(out).records.tobytes() == plain.records.tobytes()
 
 
 def test_names_of_the_input_are_kept_and_joined(tmp_path: Path) -> None:
     before = struct.pack("<B15sB15sB15s", 70, b"Rail \xe4", 65, b"car", 65, b"again")
-    source = named(tmp_path / "in.laz", before)
-    record = write(tmp_path / "out.laz", source, stems(), user_names=NAMES)
-    after = next(
-        vlr
-        for vlr in parse(tmp_path / "out.laz").vlrs
-        if vlr[18:20] == b"\0\0" and b"LASF_Spec" in vlr[:20]
-    )
-    assert after[54:] == before + struct.pack("<B15s", 64, b"stem")
-    assert after[22:54].startswith(b"of the makers")
+    out = tmp_path / "out.laz"
+    record = write(out, named(tmp_path / "in.laz", before), STEMS, user_names=NAMES)
+    assert names_vlr(out)[54:] == before + struct.pack("<B15s", 64, b"stem")
+    assert names_vlr(out)[22:54].startswith(b"kept as it is")
     assert not [notice for notice in record.notices if "named" in notice]
-    assert names_of_file(tmp_path / "out.laz")[64] == "stem"
+    assert names_of_file(out)[64] == "stem"
     # what names them all already stays as it is
-    write(tmp_path / "again.laz", tmp_path / "out.laz", stems(), user_names=NAMES)
-    assert parse(tmp_path / "again.laz").kept_vlrs() == parse(tmp_path / "out.laz").kept_vlrs()
+    write(tmp_path / "again.laz", out, STEMS, user_names=NAMES)
+    assert parse(tmp_path / "again.laz").kept_vlrs() == parse(out).kept_vlrs()
 
 
 def test_another_name_gives_way_and_is_told(tmp_path: Path) -> None:
     source = named(tmp_path / "in.las", struct.pack("<B15s", 64, b"Rail"))
-    record = write(tmp_path / "out.las", source, stems(), user_names=NAMES)
+    record = write(tmp_path / "out.las", source, STEMS, user_names=NAMES)
     assert entries(tmp_path / "out.las") == NAMES
     assert "class 64 was named 'Rail' in the input; its name is now 'stem'" in record.notices
 
 
-SOURCE = Path("drive.bin")
-LINES = 12
-M = 30
-
-
-def stream(seed: int = 0, **fields: Any) -> tuple[list[LabelledBlock], np.ndarray, np.ndarray]:
-    """Blocks of five lines (the last shorter), their ranges and labels."""
-    rng = np.random.default_rng(seed)
-    ranges = (rng.random((LINES, M)) * 80 + 0.1).astype(np.float32)
-    ranges[rng.random((LINES, M)) < 0.3] = np.nan
-    labels = random_labels(LINES * M, FOREST).reshape(LINES, M)
-    labels[np.isnan(ranges)] = Label.MISSING
-    blocks = []
-    for first in range(0, LINES, 5):
-        rows = slice(first, first + 5)
-        values = {
-            name: value if name in ("angle_rad", "scanner") else value[rows]
-            for name, value in fields.items()
-        }
-        blocks.append(labelled(labels[rows], first_line=first, range_m=ranges[rows], **values))
-    return blocks, ranges, labels
-
-
 def test_xyz_time_intensity_and_scanner(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
-    xyz = rng.normal(0, 50, (LINES, M, 3)).astype(np.float32)
-    time = rng.random((LINES, M)) * 1e9
+    shape = (12, 30)
+    ranges = rng.uniform(0.1, 80, shape).astype(np.float32)
+    ranges[rng.random(shape) < 0.3] = np.nan
+    has_return = np.isfinite(ranges)
+    labels = np.where(has_return, Label.GROUND, Label.MISSING).astype(np.uint8)
+    xyz = rng.normal(0, 50, (*shape, 3)).astype(np.float32)
+    time = rng.random(shape) * 1e9
     time[0, :] = np.nan
-    intensity = rng.random((LINES, M)).astype(np.float32) * 80_000 - 100
-    blocks, ranges, _ = stream(xyz_m=xyz, time_s=time, intensity=intensity, scanner=3)
-    record = write(tmp_path / "a.laz", SOURCE, blocks)
+    intensity = (rng.random(shape) * 80_000 - 100).astype(np.float32)
+    blocks = [
+        labelled(
+            labels[rows],
+            first_line=rows.start,
+            range_m=ranges[rows],
+            xyz_m=xyz[rows],
+            time_s=time[rows],
+            intensity=intensity[rows],
+            scanner=3,
+        )
+        for rows in (slice(0, 5), slice(5, 10), slice(10, 12))
+    ]
+    record = write(tmp_path / "a.laz", Path("drive.bin"), blocks)
     las = laspy.read(tmp_path / "a.laz")
-    has_return = np.nonzero(~np.isnan(ranges))
     assert np.allclose(las.xyz, xyz[has_return], atol=0.00051)
     assert np.array_equal(las.gps_time, np.nan_to_num(time[has_return]))
     assert np.array_equal(las.intensity, np.clip(np.rint(intensity[has_return]), 0, 65535))
     assert np.all(las.point_source_id == 3)
-    n_first = np.count_nonzero(has_return[0] == 0)
-    assert f"{n_first} records have no time; their gps_time is 0" in record.notices
-    assert any(
-        "intensities lie outside 0 to 65535 and were clipped" in text for text in record.notices
-    )
+    assert f"{has_return[0].sum()} records have no time; their gps_time is 0" in record.notices
+    clipped = "intensities lie outside 0 to 65535 and were clipped"
+    assert any(clipped in text for text in record.notices)
 
 
 @pytest.mark.parametrize(
@@ -351,3 +322,10 @@ def test_texts_that_are_none_are_written_so_that_others_can_read_the_file(
     assert any(
         "were written as ?" in notice for notice in json.loads(new.record_payloads()[0])["notices"]
     )
+
+
+def test_lines_without_coordinates_lie_apart_and_it_is_told(tmp_path: Path) -> None:
+    record = write(tmp_path / "a.las", Path("drive.bin"), STEMS)
+    told = "the input has no coordinates; nor angles: scan planes lie flat"
+    assert any(notice.startswith(told) for notice in record.notices)
+    assert len(np.unique(laspy.read(tmp_path / "a.las").z)) == N // 20

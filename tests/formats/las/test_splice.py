@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import struct
-from collections.abc import Callable
 from pathlib import Path
 
 import lazrs
@@ -113,24 +112,18 @@ def test_bytes_are_those_of_compressing_everything(
     assert np.array_equal(classes(spliced), codes)
 
 
-def lie_about_records(data: bytearray, first: int, length: int) -> None:
-    struct.pack_into("<I", data, first + length, 49)
-
-
-def lie_about_layers(data: bytearray, first: int, length: int) -> None:
-    struct.pack_into("<I", data, first + length + 4, 3_000_000)
-
-
-@pytest.mark.parametrize("lie", [lie_about_records, lie_about_layers])
+@pytest.mark.parametrize(("offset", "lie"), [(0, 49), (4, 3_000_000)])
 def test_chunks_whose_heads_lie_are_left_to_the_decoder(
-    tmp_path: Path, lie: Callable[[bytearray, int, int], None]
+    tmp_path: Path, offset: int, lie: int
 ) -> None:
+    """The number of records of a chunk, or the length of a layer."""
     source = tmp_path / "in.laz"
     make_laz(source, 6, 200, 50)
     chunks = chunks_of(source)
     assert chunks is not None
     data = bytearray(source.read_bytes())
-    lie(data, chunks.chunks.table.first_byte[1], field(bytes(data), 105, "H"))
+    first = chunks.chunks.table.first_byte[1] + field(bytes(data), 105, "H")
+    struct.pack_into("<I", data, first + offset, lie)
     source.write_bytes(data)
     assert chunks_of(source) is None
 
@@ -159,22 +152,17 @@ def random_laz(path: Path, rng: np.random.Generator) -> None:
     form = int(rng.choice([6, 7, 8]))
     n = int(rng.choice([1, 2, 49, 50, 51, 300]))
     extra = bool(rng.integers(2))
-    evlrs = [evlr_bytes(b"nobody", 5, b"abc" * 9)] if rng.integers(2) else []
+    evlrs = EVLRS[: rng.integers(2)]
     plain = path.with_suffix(".las")
-    make_las(
-        plain, form, n=n, seed=int(rng.integers(1000)), extra=extra, evlrs=evlrs, raw_points=True
-    )
-    data = bytearray(plain.read_bytes())
-    start = field(bytes(data), 96, "I")
-    length = field(bytes(data), 105, "H")
-    records: Raw = np.frombuffer(data, np.uint8)[start : start + n * length].reshape(n, length)
-    records[:, 14] = rng.choice([0x11, 0x21, 0x22, 0x00, 0x01, 0x10, 0x12, 0xFF], n)
-    records[:, 15] = np.repeat(rng.integers(0, 4, n) << 4, 10)[:n]
-    records[:, 16] = np.repeat(rng.integers(0, 256, n), 5)[:n]
-    plain.write_bytes(data)
-    compressed(
-        plain, path, int(rng.choice([1, 3, 50, 1000, 1 << 20])), form=form, extra=8 if extra else 0
-    )
+    made = make_las(plain, form, n=n, seed=n, extra=extra, evlrs=evlrs, raw_points=True)
+    made.records[:, 14] = rng.choice([0x11, 0x21, 0x22, 0x00, 0x01, 0x10, 0x12, 0xFF], n)
+    made.records[:, 15] = np.repeat(rng.integers(0, 4, n) << 4, 10)[:n]
+    made.records[:, 16] = np.repeat(rng.integers(0, 256, n), 5)[:n]
+    start = field(made.data, 96, "I")
+    stop = start + made.records.size
+    plain.write_bytes(made.data[:start] + made.records.tobytes() + made.data[stop:])
+    chunk_points = int(rng.choice([1, 3, 50, 1000, 1 << 20]))
+    compressed(plain, path, chunk_points, form=form, extra=8 if extra else 0)
 
 
 def classify_again(
@@ -210,9 +198,7 @@ def test_three_ways_to_the_same_bytes(
     source = tmp_path / "in.laz"
     random_laz(source, rng)
     n = n_points(source.read_bytes())
-    labels = (
-        rng.choice(np.array(URBAN, np.uint8), n) if seed % 3 else np.full(n, URBAN[1], np.uint8)
-    )
+    labels = random_labels(n, URBAN if seed % 3 else URBAN[1:2], seed)
     if damaged:
         data = bytearray(source.read_bytes())
         first = field(bytes(data), 96, "I") + 8

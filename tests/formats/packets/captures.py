@@ -47,10 +47,11 @@ def write_pcap(
     *,
     order: str = "<",
     nano: bool = False,
+    link: int = 1,
 ) -> Path:
     unit = 1e9 if nano else 1e6
     parts = [
-        struct.pack(order + "IHHiIII", 0xA1B23C4D if nano else 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
+        struct.pack(order + "IHHiIII", 0xA1B23C4D if nano else 0xA1B2C3D4, 2, 4, 0, 0, 65535, link)
     ]
     for time_s, frame in frames:
         whole, part = divmod(round(time_s * unit), round(unit))

@@ -6,6 +6,8 @@ Every cell as independent decoders have it, whatever the capture.
 from __future__ import annotations
 
 import json
+import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,6 @@ import numpy as np
 import pytest
 import velodyne_decoder
 
-from prc_cli.cli import cli
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock
@@ -21,7 +22,6 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.formats.packets import spinning
 from prc_cli.formats.packets.read import PacketStream
 from tests.formats.packets import captures as made
-from tests.runner import runner
 
 
 def read(path: Path, **changes: Any) -> tuple[PacketStream, ScanBlock]:
@@ -38,25 +38,31 @@ def test_captures_of_every_kind_are_the_same(tmp_path: Path) -> None:
     packets = made.vlp16()
     frames = made.framed(packets)
     _, plain = read(made.write_pcap(tmp_path / "a.pcap", frames))
-    _, again = read(made.write_pcap(tmp_path / "b.pcap", frames, order=">"))
-    same(plain, again)
-    _, again = read(made.write_pcap(tmp_path / "c.pcap", frames, nano=True))
-    same(plain, again, times=False)
-    for order in "<>":
-        _, again = read(made.write_pcapng(tmp_path / "d.pcapng", frames, order=order))
-        same(plain, again, times=False)
-    tagged = [
-        (time_s, made.ethernet(made.ip4(made.udp(packet)), vlan=True))
-        for (time_s, _), packet in zip(frames, packets, strict=True)
-    ]
-    _, again = read(made.write_pcap(tmp_path / "e.pcap", tagged))
-    same(plain, again)
-    six = [
-        (time_s, made.ethernet(made.ip6(made.udp(packet))))
-        for (time_s, _), packet in zip(frames, packets, strict=True)
-    ]
-    _, again = read(made.write_pcap(tmp_path / "f.pcap", six))
-    same(plain, again)
+    stream, twice = read(made.write_pcap(tmp_path / "twice.pcap", frames + frames))
+    np.testing.assert_array_equal(twice.range_m, plain.range_m)
+    assert twice.tally.n_records == 2 * plain.tally.n_records
+    assert stream.info.facts.repeated
+
+    def sent(frame: Callable[[bytes], bytes]) -> list[tuple[float, bytes]]:
+        """The packets in other frames."""
+        return [(frames[k][0], frame(made.udp(packet))) for k, packet in enumerate(packets)]
+
+    tagged = sent(lambda body: made.ethernet(made.ip4(body), vlan=True))
+    six = sent(lambda body: made.ethernet(made.ip6(body)))
+    for again in (
+        made.write_pcap(tmp_path / "b.pcap", frames, order=">"),
+        made.write_pcap(tmp_path / "c.pcap", tagged),
+        made.write_pcap(tmp_path / "d.pcap", six),
+        made.write_pcap(tmp_path / "raw.pcap", sent(made.ip4), link=101),
+    ):
+        same(plain, read(again)[1])
+    # times are finer there
+    for again in (
+        made.write_pcap(tmp_path / "e.pcap", frames, nano=True),
+        made.write_pcapng(tmp_path / "f.pcapng", frames),
+        made.write_pcapng(tmp_path / "g.pcapng", frames, order=">"),
+    ):
+        same(plain, read(again)[1], times=False)
 
 
 def test_fragments_are_put_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -79,14 +85,8 @@ def test_fragments_are_put_together(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert stream.info.facts.notes == ("1 datagrams lack a fragment: left out",)
     # as many wait as may
     monkeypatch.setattr("prc_cli.formats.packets.capture.MAX_PENDING", len(packets))
-    same(
-        plain,
-        read(
-            made.write_pcap(
-                tmp_path / "d.pcap", [frame for k in range(3) for frame in frames[k::3]]
-            )
-        )[1],
-    )
+    mixed = [frame for k in range(3) for frame in frames[k::3]]
+    same(plain, read(made.write_pcap(tmp_path / "d.pcap", mixed))[1])
 
 
 def test_packets_that_overtook_each_other_are_put_in_order(tmp_path: Path) -> None:
@@ -126,79 +126,86 @@ def test_ouster_columns_are_destaggered_in_angle_not_in_time(tmp_path: Path, pro
     )
     assert np.ptp(azimuth, axis=1).max() < 0.2
     assert len(block.extra) == (480 if profile.endswith("DUAL") else 0)
-    result = runner().invoke(
-        cli, ["classify", str(path), str(tmp_path / "o.npy"), "--preset", "prc-2019-urban"]
-    )
-    assert result.exit_code in (0, 4), result.output
     assert stream.info.facts.has_line_times
 
 
-def test_what_cannot_be_read_is_said_in_one_line(tmp_path: Path) -> None:
-    table, packets = made.ouster()
-    path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets, 7502))
-    for words, expected in (
-        ((), "needs its metadata|need its metadata: give --set input.metadata=FILE.json"),
-        (("--set", f"input.metadata={tmp_path / 'no.json'}"), "cannot be read as JSON"),
-    ):
-        result = runner().invoke(cli, ["info", str(path), *words])
-        assert result.exit_code == 1
-        assert any(part in result.stderr for part in expected.split("|"))
-    for changes, expected in (
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
         ({"pixels_per_column": 5}, "beam_azimuth_angles: found list of 4, expected 5 numbers"),
         (
             {"pixel_shift_by_row": [0, 10**400, 0, 0]},
             "pixel_shift_by_row: found 10000.*, expected 4 numbers",
         ),
-        (
-            {"udp_profile_lidar": ["NEW"]},
-            "udp_profile_lidar: found .'NEW'., expected one of LEGACY",
-        ),
+        ({"udp_profile_lidar": ["NEW"]}, "udp_profile_lidar: found .'NEW'., expected one of"),
         ({"udp_profile_lidar": "NEW"}, "udp_profile_lidar: found NEW, expected one of LEGACY"),
         ({"columns_per_packet": 8}, "no packets of a known scanner: 16 of 1024 bytes to port 7502"),
-        (
-            {"columns_per_frame": "x"},
-            "columns_per_frame: found x, expected a whole number from 1 to 4096",
-        ),
-    ):
-        wrong = {**table, "data_format": {**table["data_format"], **changes}}
-        path.with_suffix(".json").write_text(json.dumps(wrong))
-        with pytest.raises(InputError, match=expected):
-            PacketStream(path, InputConfig())
-    unknown = made.hesai("XT16")[0][0]
-    for packets, expected in (
+        ({"columns_per_frame": "x"}, "found x, expected a whole number from 1 to 4096"),
+    ],
+)
+def test_metadata_that_do_not_fit_are_refused(
+    tmp_path: Path, changes: dict[str, Any], message: str
+) -> None:
+    table, packets = made.ouster()
+    table["data_format"] |= changes
+    path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets, 7502))
+    path.with_suffix(".json").write_text(json.dumps(table))
+    with pytest.raises(InputError, match=message):
+        PacketStream(path, InputConfig())
+
+
+def test_metadata_that_are_not_there_are_asked_for(tmp_path: Path) -> None:
+    path = made.write_pcap(tmp_path / "a.pcap", made.framed(made.ouster()[1], 7502))
+    with pytest.raises(InputError, match="metadata") as caught:
+        PacketStream(path, InputConfig())
+    assert "give --set input.metadata=FILE.json" in f"{caught.value} {caught.value.hint}"
+    with pytest.raises(InputError, match="cannot be read as JSON"):
+        PacketStream(path, InputConfig(metadata=str(tmp_path / "no.json")))
+
+
+XT16 = made.hesai("XT16")[0][0]
+
+
+@pytest.mark.parametrize(
+    ("packets", "message"),
+    [
         (
             made.vlp16(model=0x23),
             r"model 0x23 \(VLP-32A or VLP-32B\), expected Velodyne HDL-32E, Velodyne VLP-16",
         ),
         (
-            [unknown[:2] + b"\4\3" + unknown[4:]],
+            [XT16[:2] + b"\4\3" + XT16[4:]],
             r"Hesai, protocol 4.3, 16 channels in 8 blocks, 568 bytes\), expected",
         ),
         (
             made.velodyne(3, 0x40),
             r"HDL-64E need the calibration of the unit; give --set input.metadata=FILE.yml",
         ),
+        (made.hesai("XT32M", mode=0x3D)[0], r"three returns a shot \(mode 0x3d\), expected one"),
+        (made.vlp16(5) + made.vlp16(5, mode=0x38), "return mode 0x38 after 0x22 and 0x37"),
+    ],
+)
+def test_packets_that_cannot_be_read_are_named(
+    tmp_path: Path, packets: list[bytes], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        read(made.write_pcap(tmp_path / "a.pcap", made.framed(packets)))
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"no capture", "begins with 6e6f2063, expected a capture"),
         (
-            made.hesai("XT32M", mode=0x3D)[0],
-            r"three returns a shot \(mode 0x3d\), expected one or two",
+            struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1) + b"\xff" * 100,
+            "found a packet of 4294967295 bytes, expected at most 262144",
         ),
-    ):
-        second = made.write_pcap(tmp_path / "b.pcap", made.framed(packets))
-        with pytest.raises(InputError, match=expected):
-            PacketStream(second, InputConfig())
-    mixed = made.write_pcap(
-        tmp_path / "c.pcap", made.framed(made.vlp16(5) + made.vlp16(5, mode=0x38))
-    )
-    with pytest.raises(InputError, match="return mode 0x38 after 0x22 and 0x37"):
-        read(mixed)
-    (tmp_path / "d.pcap").write_bytes(b"no capture")
-    with pytest.raises(InputError, match="begins with 6e6f2063, expected a capture"):
-        PacketStream(tmp_path / "d.pcap", InputConfig())
-    (tmp_path / "e.pcap").write_bytes(second.read_bytes()[:24] + b"\xff" * 100)
-    with pytest.raises(
-        InputError, match="found a packet of 4294967295 bytes, expected at most 262144"
-    ):
-        PacketStream(tmp_path / "e.pcap", InputConfig())
+    ],
+)
+def test_what_is_no_capture_is_refused(tmp_path: Path, data: bytes, message: str) -> None:
+    (tmp_path / "a.pcap").write_bytes(data)
+    with pytest.raises(InputError, match=message):
+        PacketStream(tmp_path / "a.pcap", InputConfig())
 
 
 def compare(
@@ -230,19 +237,12 @@ def test_every_velodyne_is_what_velodyne_decoder_reads(tmp_path: Path, model: in
     config = velodyne_decoder.Config(min_range=0, max_range=1000)
     changes = {}
     if model == 0x40:
-        lasers = [
-            {
-                "laser_id": k,
-                "vert_correction": -0.4 + 0.007 * k,
-                "rot_correction": 0.02 * (k % 5),
-                "dist_correction": 1.5,
-            }
-            for k in range(64)
-        ]
+        names = ("laser_id", "vert_correction", "rot_correction", "dist_correction")
+        rows = [(k, -0.4 + 0.007 * k, 0.02 * (k % 5), 1.5) for k in range(64)]
+        lasers = [dict(zip(names, row, strict=True)) for row in rows]
+        unit = {"num_lasers": 64, "distance_resolution": 0.002, "lasers": lasers}
         calibration = tmp_path / "unit.yml"
-        calibration.write_text(
-            json.dumps({"num_lasers": 64, "distance_resolution": 0.002, "lasers": lasers})
-        )
+        calibration.write_text(json.dumps(unit))
         config.calibration = velodyne_decoder.Calibration.read(str(calibration))
         config.model = velodyne_decoder.Model.HDL64E_S2
         changes = {"metadata": str(calibration)}

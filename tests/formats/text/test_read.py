@@ -42,17 +42,6 @@ def read(source: Source, *names: str) -> dict[str, np.ndarray[Any, Any]]:
     }
 
 
-def values(
-    folder: Path,
-    content: str | bytes,
-    name: str = "range",
-    layout: Layout | None = None,
-) -> list[float]:
-    column = read(TextSource(write(folder, content), layout), name)[name]
-    assert column.dtype == np.float64
-    return [float(value) for value in column]
-
-
 def problem(
     folder: Path,
     content: str | bytes,
@@ -65,37 +54,6 @@ def problem(
     message = str(caught.value)
     assert "\n" not in message
     return message.replace(f"{folder}/", "")
-
-
-# --- found by looking
-
-
-# --- cells, lines, compressions
-
-
-@pytest.mark.parametrize("ending", ["\n", "\r\n", "\r\r\n"])
-@pytest.mark.parametrize("mark", ["", "\ufeff"])
-@pytest.mark.parametrize("last", [True, False])
-def test_line_ends_byte_order_marks_blank_lines_and_comments(
-    tmp_path: Path,
-    ending: str,
-    mark: str,
-    last: bool,
-) -> None:
-    lines = [
-        "# Straße",
-        "",
-        "range,x",
-        "1,2",
-        "   ",
-        "# a, comment",
-        "3,4",
-        "",
-        "  # another",
-        "5,6",
-    ]
-    content = mark + ending.join(lines) + (ending + ending if last else "")
-    assert values(tmp_path, content) == [1, 3, 5]
 
 
 CELLS = st.sampled_from(["", "nan", "1", "-2.5", "1e3", " 7 ", "+4", "inf", '"8"', "  "])
@@ -121,12 +79,6 @@ def test_values_do_not_depend_on_blocks(
     expected = [[float(cell.strip(' "') or "nan") for cell in row] for row in rows]
     columns = read(TextSource(path, block_bytes=block), "u", "v")
     np.testing.assert_array_equal(np.stack([columns["u"], columns["v"]], axis=1), expected)
-
-
-# --- layouts
-
-
-# --- errors
 
 
 @pytest.mark.parametrize(
@@ -217,17 +169,21 @@ def test_a_line_without_end_is_refused_before_it_is_held(
         st.sampled_from(["", "#", "# a,b", "  ", " \t# c", "\r", "#\r", "\x0b", "\x0c#", "#1,2"]),
         max_size=9,
     ),
+    mark=st.sampled_from(["", "\ufeff"]),
+    ending=st.sampled_from(["\n", "\r\n", "\r\r\n"]),
     ends=st.booleans(),
     block_bytes=st.integers(1, 60),
 )
 def test_rows_are_found_among_any_lines_that_are_none(
     tmp_path_factory: pytest.TempPathFactory,
     lines: list[str],
+    mark: str,
+    ending: str,
     ends: bool,
     block_bytes: int,
 ) -> None:
     every = [*lines, "range,time", *lines, "1,2", *lines, "3,4"]
-    path = write(tmp_path_factory.mktemp("text"), "\n".join(every) + "\n" * ends)
+    path = write(tmp_path_factory.mktemp("text"), mark + ending.join(every) + ending * ends)
     text = find_format(path, None)
     assert (text.header_line, text.names) == (len(lines) + 1, ("range", "time"))
     columns = read(TextSource(path, None, block_bytes), "range", "time")
