@@ -25,6 +25,7 @@ N_LINES = 14
 M = 24
 """Lines and columns of every seed."""
 LINE_HZ = 50.0
+FORMATS = Path(cloud_files.__file__).parent
 
 LAYOUT = """\
 [layout]
@@ -335,12 +336,6 @@ def _pulse_folder() -> dict[str, bytes]:
         return {path.name: path.read_bytes() for path in (Path(folder) / "p").iterdir()}
 
 
-def _copc(point_format: int) -> bytes:
-    from tests.formats.las.test_copc import make_copc
-
-    return written("a.copc.laz", lambda path: make_copc(path, point_format, n=300))
-
-
 def _record() -> bytes:
     """The record of labels that ``prc classify`` wrote."""
     from prc_cli.config import load_config
@@ -485,7 +480,7 @@ SEEDS: dict[str, Callable[[], bytes]] = {
         for name in RECORDINGS
     },
     "ouster.json": lambda: json.dumps(captures.ouster()[0]).encode(),
-    **{f"copc{n}.laz": lambda n=n: _copc(n) for n in (6, 7)},
+    "copc7.laz": lambda: (FORMATS / "las" / "octree.copc.laz").read_bytes(),
     **{f"pulses/{name}": lambda name=name: _pulse_folder()[name] for name in PULSES},
     **{f"state/{name}": lambda name=name: _state()[name] for name in STATE_FILES},
     "labelled/a.npy": lambda: _npy(_flat()["class"].astype(np.uint8)),

@@ -88,7 +88,7 @@ TARGETS = {
         (LABELLED, *READ, *LAS),
     ),
     "laz": Target(" ".join(f"pf{n}.laz" for n in (0, 1, 2, 3, 6, 7, 8)), (LABELLED, *READ, *LAS)),
-    "copc": Target("copc6.laz copc7.laz", (*READ, *LAS)),
+    "copc": Target("copc7.laz", (*READ, *LAS)),
     "npy": Target("a.npy fortran.npy"),
     "npz": Target("a.npz stored.npz"),
     "csv": Target("a.csv"),

@@ -69,9 +69,9 @@ def test_the_first_command_takes_the_seed(server: tuple[Server, Path], name: str
     """Else every case would be refused for a reason that is not its damage."""
     target = TARGETS[name]
     case = lay(server[1], target, target.names[0], seed(target.names[0]))
-    answers = [server[0].run(command, case) for command in target.commands[:6]]
-    assert answers[0]["code"] in DONE, answers[0]["printed"]
-    assert not [answer["faults"] for answer in answers if answer["faults"]]
+    answer = server[0].run(target.commands[0], case)
+    assert answer["code"] in DONE, answer["printed"]
+    assert not answer["faults"]
 
 
 @pytest.mark.parametrize(

@@ -104,8 +104,8 @@ def test_codes_above_31_upgrade_the_format(tmp_path: Path, form: int, suffix: st
     )
     labels = random_labels(300, FOREST)
     record = write(output, source, record_blocks(labels))
-    told = f"point format {form} cannot hold code 64; upgraded to {UPGRADED[form]}"
-    assert any(told in text for text in record.notices)
+    notice = f"point format {form} cannot hold code 64; upgraded to {UPGRADED[form]}"
+    assert any(notice in text for text in record.notices)
     new = parse(output)
     assert np.array_equal(classes(new), ClassCodes().lookup()[labels])
     assert new.form == UPGRADED[form]
@@ -326,6 +326,6 @@ def test_texts_that_are_none_are_written_so_that_others_can_read_the_file(
 
 def test_lines_without_coordinates_lie_apart_and_it_is_told(tmp_path: Path) -> None:
     record = write(tmp_path / "a.las", Path("drive.bin"), STEMS)
-    told = "the input has no coordinates; nor angles: scan planes lie flat"
-    assert any(notice.startswith(told) for notice in record.notices)
+    start = "the input has no coordinates; nor angles: scan planes lie flat"
+    assert any(notice.startswith(start) for notice in record.notices)
     assert len(np.unique(laspy.read(tmp_path / "a.las").z)) == N // 20
