@@ -13,7 +13,7 @@ from prc_cli.core.classes import Surface
 from prc_cli.core.stream import LabelledBlock, StageLabels
 from prc_cli.formats.writing.columns import OutputConfig
 from tests.formats.common import URBAN, labelled, random_labels, write
-from tests.formats.las.lasbytes import make_las, parse
+from tests.formats.las.lasbytes import EXTRA, make_las, parse
 
 SOURCE = Path("drive.bin")
 LINES = 15
@@ -58,7 +58,7 @@ def same_bits(actual: np.ndarray, expected: np.ndarray) -> bool:
     )
 
 
-@pytest.mark.parametrize("extra", [False, True])
+@pytest.mark.parametrize("extra", [(), EXTRA])
 @pytest.mark.parametrize(
     ("form", "before", "after"), [(1, ".las", ".laz"), (3, ".laz", ".las"), (6, ".laz", ".laz")]
 )
@@ -67,7 +67,7 @@ def test_rewritten_files_hold_them(
     form: int,
     before: str,
     after: str,
-    extra: bool,
+    extra: tuple[laspy.ExtraBytesParams, ...],
 ) -> None:
     source = tmp_path / f"in{before}"
     output = tmp_path / f"out{after}"

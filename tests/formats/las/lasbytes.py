@@ -134,6 +134,12 @@ def evlr_bytes(user: bytes, number: int, payload: bytes) -> bytes:
     return struct.pack("<H16sHQ32s", 7, user, number, len(payload), b"kept too") + payload
 
 
+EXTRA = (
+    laspy.ExtraBytesParams("amplitude", "f4", description="echo [dB]"),
+    laspy.ExtraBytesParams("pair", "2u2"),
+)
+
+
 def make_las(
     path: Path,
     form: int,
@@ -141,7 +147,7 @@ def make_las(
     n: int = 300,
     seed: int = 0,
     minor: int | None = None,
-    extra: bool = True,
+    extra: Sequence[laspy.ExtraBytesParams] = EXTRA,
     vlrs: Sequence[bytes] = (),
     evlrs: Sequence[bytes] = (),
     user_bytes: bytes = b"",
@@ -153,17 +159,11 @@ def make_las(
     Odd header fields are always there. ``raw_points`` fills every bit of the records at random
     (scanner channel 0 in formats 9 and 10, whose waveforms laszip cannot keep otherwise)."""
     rng = np.random.default_rng(seed)
-    version = (
-        f"1.{minor}"
-        if minor is not None
-        else ("1.4" if form >= 6 else "1.3" if form >= 4 else "1.2")
-    )
-    header = laspy.LasHeader(point_format=form, version=version)
+    version = minor or (4 if form >= 6 else 3 if form >= 4 else 2)
+    header = laspy.LasHeader(point_format=form, version=f"1.{version}")
     header.scales = np.array([0.001, 0.002, 0.0005])
     header.offsets = np.array([650_000.0, 6_860_000.0, -3.5])
-    if extra:
-        header.add_extra_dim(laspy.ExtraBytesParams("amplitude", "f4", description="echo [dB]"))
-        header.add_extra_dim(laspy.ExtraBytesParams("pair", "2u2"))
+    header.add_extra_dims(list(extra))
     las = laspy.LasData(header)
     length = las.point_format.size
     if raw_points:

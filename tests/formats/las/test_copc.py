@@ -13,7 +13,10 @@ from prc_cli.formats.las.header import open_bytes, read_header
 from tests.formats.common import random_labels, record_blocks, write
 
 OCTREE = Path(__file__).parent / "octree.copc.laz"
-"""An octree of two levels and point format 7 in a cube of 16 m, its index in two pages."""
+"""An octree of two levels and point format 7 in a cube of 16 m, its index in two pages.
+
+It was made with laspy and lazrs.
+"""
 N = 300
 
 

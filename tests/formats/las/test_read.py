@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ import pytest
 from prc_cli.core.errors import InputError
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.records import Reading
+from tests.formats.las.lasbytes import make_las, vlr_bytes
 
 VERSION = {
     **dict.fromkeys(range(4), "1.2"),
@@ -25,32 +25,16 @@ VERSION = {
 ANGLE = {True: ("scan_angle", 0.006), False: ("scan_angle_rank", 1.0)}
 
 
-def make(
-    path: Path,
-    point_format: int = 6,
-    n: int = 200,
-    *,
-    version: str = "",
-    extra: Sequence[laspy.ExtraBytesParams] = (),
-    **columns: Any,
-) -> laspy.LasData:
+def make(path: Path, point_format: int = 6, n: int = 200, **options: Any) -> laspy.LasData:
     """Write a file with every dimension filled at random; returns what laspy holds."""
-    header = laspy.LasHeader(point_format=point_format, version=version or VERSION[point_format])
-    header.scales = np.array([0.001, 0.002, 0.01])
-    header.offsets = np.array([1000.0, -5.0, 0.5])
-    header.add_extra_dims(list(extra))
-    las = laspy.LasData(header)
-    rng = np.random.default_rng(point_format)
-    las.points = laspy.ScaleAwarePointRecord.zeros(n, header=header)
-    raw = las.points.array.view(np.uint8)
-    raw[:] = rng.integers(0, 256, raw.size, dtype=np.uint8)
+    options = {"extra": (), "raw_points": True, **options}
+    make_las(path, point_format, n=n, seed=point_format, **options)
+    las = laspy.read(path)
+    las.header.generating_software = "laspy"  # what make_las wrote is no text
     kinds = las.points.array.dtype
     for name in [name for name in kinds.names or () if kinds[name].base.kind == "f"]:
-        las.points.array[name] = rng.normal(size=las.points.array[name].shape)
-    if "gps_time" in header.point_format.dimension_names:
-        las.gps_time = np.arange(n) * 1e-3 + 5e5
-    for name, values in columns.items():
-        las[name] = values
+        values = np.random.default_rng(1).normal(size=las.points.array[name].shape)
+        las.points.array[name] = np.sort(values, axis=0)
     las.write(path)
     return las
 
@@ -111,7 +95,10 @@ def test_spared_intensity_is_there_wherever_it_may_decide(
         number[first_pair] = 2
         number[first_pair + 700 :: 31] = 15
     path = tmp_path / "drive.laz"
-    las = make(path, n=n, return_number=np.ones(n, np.uint8), number_of_returns=number)
+    las = make(path, n=n)
+    las.return_number[:] = 1
+    las.number_of_returns[:] = number
+    las.write(path)
     plain = LasSource(path, 33_333)
     source = plain.with_reading(Reading(spares_intensity=True))
     chunks = list(source.chunks(("time", "number_of_returns", "intensity")))
@@ -262,9 +249,7 @@ def test_a_header_that_lies(
     message: str,
 ) -> None:
     path = tmp_path / "a.las"
-    las = make(path, 1)
-    las.header.vlrs.append(laspy.VLR("me", 7, "", b""))
-    las.write(path)
+    make(path, 1, vlrs=(vlr_bytes(b"me", 7, b""),))
     patch(path, offset, layout, value)
     assert refused(path).startswith(message)
 
@@ -287,7 +272,7 @@ def test_the_legacy_count_of_a_1_4_file_is_taken_where_it_may_be(
     tmp_path: Path, point_format: int, suffix: str
 ) -> None:
     path = tmp_path / f"a.{suffix}"
-    las = make(path, point_format, version="1.4")
+    las = make(path, point_format, minor=4)
     assert not any("legacy" in note for note in LasSource(path).notes)
     patch(path, 107, "<I", 200)
     patch(path, 247, "<Q", 0)

@@ -20,6 +20,7 @@ from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.las.splice import Splice, find_chunks
 from tests.formats.common import URBAN, random_labels, record_blocks, run_record, write, writer
 from tests.formats.las.lasbytes import (
+    EXTRA,
     Parsed,
     Raw,
     classes,
@@ -151,7 +152,7 @@ def random_laz(path: Path, rng: np.random.Generator) -> None:
     """
     form = int(rng.choice([6, 7, 8]))
     n = int(rng.choice([1, 2, 49, 50, 51, 300]))
-    extra = bool(rng.integers(2))
+    extra = EXTRA if rng.integers(2) else ()
     evlrs = EVLRS[: rng.integers(2)]
     plain = path.with_suffix(".las")
     made = make_las(plain, form, n=n, seed=n, extra=extra, evlrs=evlrs, raw_points=True)
