@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
 from pathlib import Path
 from typing import Any, Literal
 
@@ -176,10 +174,7 @@ def test_rules_that_an_image_cannot_follow(tmp_path: Path, keys: dict[str, Any])
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda raw: b"", "scan.npy: no npy header (EOF: reading magic string"),
-        (lambda raw: b"PK\3\4" + raw, "no npy header (the magic string is not correct"),
         (lambda raw: raw[:50], "no npy header (EOF: reading array header"),
-        (lambda raw: raw[:-3], "found 137 bytes of numbers, expected 140 for shape (7, 5)"),
         (lambda raw: raw + b"\0", "found 141 bytes of numbers, expected 140 for shape (7, 5)"),
         (
             lambda raw: raw.replace(b"(7, 5)", b"(-7,5)"),
@@ -216,23 +211,3 @@ def test_a_file_that_changes_between_opening_and_reading(tmp_path: Path) -> None
     save(tmp_path, image(8))
     with pytest.raises(InputError, match="the array has changed since the file was opened"):
         whole(stream)
-
-
-@pytest.mark.parametrize("compressed", [True, False])
-def test_damaged_archives(tmp_path: Path, compressed: bool) -> None:
-    ranges = np.random.default_rng(1).uniform(1, 9, (500, 40)).astype(np.float32)
-    path = save_npz(tmp_path, compressed=compressed, range_m=ranges)
-    raw = path.read_bytes()
-    for broken in (raw[: len(raw) // 2], b"", b"1,2,3\n", raw[:-10]):
-        path.write_bytes(broken)
-        assert refused(path).startswith("scan.npz: not a whole npz archive, which is a zip file (")
-    flipped = bytearray(raw)
-    flipped[len(raw) // 2] ^= 0xFF
-    path.write_bytes(flipped)
-    assert refused(path).startswith("scan.npz: range_m: ")
-    # a member that does not hold what its own header says
-    content = io.BytesIO()
-    np.save(content, image())
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("range_m.npy", content.getvalue()[:-4])
-    assert "range_m: found 136 bytes of numbers, expected 140 for shape (7, 5)" in refused(path)

@@ -148,18 +148,6 @@ def test_nothing_is_left_of_a_run_that_ends_early(
     assert {path.name for path in out.iterdir()} == {f"a{suffix}.npy", f"a{suffix}.npy.prc.json"}
 
 
-@pytest.mark.slow
-@pytest.mark.data
-@pytest.mark.parametrize("name", ["ros/sick_lms1xx_ros1.bag", "cartographer/b0_short.bag"])
-def test_real_bags(tmp_path: Path, real_data: Path, name: str) -> None:
-    output = tmp_path / "out.bag"
-    codes = write(real_data / name, output)
-    np.testing.assert_array_equal(read_codes(output), codes)
-    before = by_topic(real_data / name)
-    after = by_topic(output)
-    assert {topic: after[topic] for topic in before} == before
-
-
 @pytest.mark.parametrize(
     ("suffix", "packed"),
     [

@@ -197,48 +197,19 @@ def refused(path: Path) -> str:
     return message.replace(f"{path}: ", "").replace("; " + caught.value.hint, "")
 
 
+# the golden cases hold other fields of a header that lie
 @pytest.mark.parametrize(
     ("offset", "layout", "value", "message"),
     [
-        (94, "<H", 100, "byte 94: header size 100, expected at least 227"),
-        (96, "<I", 2**32 - 1, "byte 96: records begin at byte 4294967295, expected byte 227 to"),
-        (
-            100,
-            "<I",
-            2**32 - 1,
-            "byte 100: 4294967295 VLRs in 54 bytes before the records, expected at most 1",
-        ),
         (
             227 + 20,
             "<H",
             65_535,
             "byte 227: VLR 1 of 1 claims 65535 bytes, 0 are left before the records",
         ),
-        (104, "<B", 11, "byte 104: point format 11, expected 0 to 10"),
-        (105, "<H", 20, "byte 105: records of 20 bytes, expected at least 28 for point format 1"),
-        (
-            131,
-            "<d",
-            math.nan,
-            "byte 131: x scale factor nan, expected a finite number other than 0",
-        ),
         (139, "<d", 0.0, "byte 139: y scale factor 0.0, expected a finite number other than 0"),
         (171, "<d", math.inf, "byte 171: z offset inf, expected a finite number"),
-        (
-            107,
-            "<I",
-            201,
-            (
-                "the header promises 201 records, 5909 bytes in all; found 5881 bytes, room "
-                "for 200 records"
-            ),
-        ),
-        (
-            107,
-            "<I",
-            2**32 - 1,
-            "the header promises 4294967295 records, 120259084541 bytes in all; found 5881 bytes",
-        ),
+        (107, "<I", 201, "the header promises 201 records, 5909 bytes in all; found 5881 bytes"),
     ],
 )
 def test_a_header_that_lies(
@@ -324,21 +295,6 @@ def laz(path: Path, point_format: int, n: int = 120_000) -> tuple[bytes, int, in
     return raw, start, struct.unpack_from("<q", raw, start)[0]
 
 
-@pytest.mark.parametrize("point_format", [1, 6])
-def test_truncated_laz(tmp_path: Path, point_format: int) -> None:
-    path = tmp_path / "a.laz"
-    raw, start, table = laz(path, point_format)
-    for n_bytes in (table + 4, table - 1000, start + 100, start + 8):
-        path.write_bytes(raw[:n_bytes])
-        assert refused(path) == (
-            f"the LAZ chunk table should begin at byte {table}, found the file's end at "
-            f"byte {n_bytes}; "
-            "expected it after the 120000 records"
-        )
-    path.write_bytes(raw[: start + 3])
-    assert refused(path).startswith("the LAZ chunk table was never written (an unfinished file)")
-
-
 def test_chunk_table_that_lies(tmp_path: Path) -> None:
     path = tmp_path / "a.laz"
     raw, start, table = laz(path, 6)
@@ -381,32 +337,6 @@ def test_laszip_vlr_that_lies(tmp_path: Path) -> None:
     path.write_bytes(raw)
     patch(path, vlr + 12, "<I", 2**31)
     assert sum(chunk.n for chunk in LasSource(path).chunks(("x",))) == 200
-
-
-# --- real files
-
-
-@pytest.mark.slow
-@pytest.mark.data
-@pytest.mark.parametrize(
-    "name",
-    [
-        "las/fullwave_pf10.laz",
-        "las/ign_tile_not_chronological.laz",
-        "las/mls_not_in_time_order.las",
-        "las/three_strips_edge_flags.laz",
-        "profiler/jakarto_0.02s.las",
-    ],
-)
-def test_real_files(real_data: Path, name: str) -> None:
-    source = LasSource(real_data / name)
-    las = laspy.read(real_data / name)
-    assert source.n_records == len(las.points)
-    # angles that are 0 throughout are none
-    assert ("angle" in source.dimensions) == bool(expected(las, "angle").any())
-    names = {"x", "time", "intensity", "return_number", "classification", "angle"}
-    for dimension in names & set(source.dimensions):
-        np.testing.assert_allclose(read(source, dimension), expected(las, dimension), rtol=1e-15)
 
 
 @pytest.mark.parametrize(
