@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import json
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -40,6 +41,10 @@ class Prc:
         check_messages(captured.err)
         code = stop.value.code
         return Result(int(code) if code is not None else 0, captured.out, folded(captured.err))
+
+    def json(self, line: object, *arguments: object) -> Any:
+        """Run a command line with ``--json``; return what it prints."""
+        return json.loads(self(line, *arguments, "--json").out)
 
 
 @pytest.fixture

@@ -233,6 +233,13 @@ CASES = [
         1,
         "in LASzip's compatibility mode",
     ),
+    ("classify drive.bin '' -M 180", 2, "the name is empty; give the name of a file"),
+    (
+        "classify drive.npz o.npy --layout plain.toml",
+        2,
+        "layout.fields: does nothing: .npz files describe",
+    ),
+    ("info drive.npz --layout plain.toml", 2, "layout.fields: does nothing"),
     ("calibrate drive.npz -o curves.png", 2, "expected one of: .toml .svg"),
     (
         "classify drive.npz o.npy --preset street-scan --method prc",
@@ -353,6 +360,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     cloud = pcd({name: np.ones(4, np.float32) for name in ("x", "y", "z")}, viewpoint="0 0 0")
     (folder / "view.pcd").write_bytes(cloud)
     (folder / "quote.toml").write_text(LAYOUT.format("delimiter = '\"'\n", "f4"))
+    (folder / "plain.toml").write_text(LAYOUT.format("", "f4"))
     (folder / "type.toml").write_text(LAYOUT.format("", "f4,f4"))
     drive(folder / "drive.las", 1000.0)
     drive(folder / "other.las", 1000.8)

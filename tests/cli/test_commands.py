@@ -23,12 +23,12 @@ from prc_cli.jobs.classify import classify
 from prc_cli.jobs.explain import explain
 from prc_cli.methods.reasons import rule_of
 from prc_cli.simulation.scanners import SCANNERS
-from prc_cli.simulation.settings import Kind
 from tests import patience
 from tests.cli.conftest import Prc
 from tests.jobs.test_transfer import Drive, N, write_las
 from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.patience import wait_until
+from tests.streams.evidence.test_estimates import forest_lines
 from tests.street import (
     N_LINES,
     POINTS_PER_LINE,
@@ -89,7 +89,7 @@ def test_info_doubts_what_classify_doubts_where_heights_explain_it(
     points = laspy.read(made)
     points["range"] = points["range"] / 0.3048
     points.write(feet)
-    printed = json.loads(prc(f"info {feet} --json").out)
+    printed = prc.json(f"info {feet}")
     assert printed["doubts"] == ["units", "method"]
     assert prc(f"classify {feet} {tmp_path}/o.npy -q").code == 4
     assert "--set input.range_scale=0.3048" in printed["command"]
@@ -115,14 +115,6 @@ def test_info_goes_on_after_a_bad_file(prc: Prc, tmp_path: Path) -> None:
     assert result.code == 1
     assert "no such file" in reports[0]["error"]
     assert reports[1]["classifiable"] is True
-    (tmp_path / "layout.toml").write_text(
-        "[layout]\n[[layout.fields]]\nname = 'range'\ntype = 'f4'\n"
-    )
-    for files in (
-        (source, none),
-        (none, source),
-    ):  # a layout for a format that has none is wrong usage, 2
-        assert prc("info", *files, "--layout", tmp_path / "layout.toml").code == 2
 
 
 @pytest.mark.slow
@@ -156,13 +148,10 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
         "more",
     }
     more = {path.name for path in (folder / "more").iterdir()}
-    for stem in ("urban", "static_scan", "forest"):
-        assert more >= {f"{stem}.png", f"{stem}_labels.npy", f"{stem}_report.html", f"{stem}.toml"}
-    assert more >= {"static_scan.laz", "forest.laz", "street_labels.npy", "street_reference.npy"}
+    assert more >= {"static_scan.laz", "forest.laz", "street_reference.npy", "street_path.csv"}
     page = (folder / "street_report.html").read_text(encoding="utf-8")
     assert "fused (--preset fused) · input street.npz" in page
     assert str(folder) not in page
-    assert "street_path.csv" in more
     viewer = (folder / "street.html").read_text(encoding="utf-8")
     assert "height_above_ground" in viewer
     assert "no trajectory" not in viewer
@@ -182,20 +171,14 @@ def test_what_takes_long_is_explained(
         wait_until(lambda: "compiles it" in capsys.readouterr().err)
 
 
-def test_files_that_a_run_reads_are_never_its_output(prc: Prc, tmp_path: Path) -> None:
-    source = write_npz(tmp_path / "drive.npz", street())
-    config = tmp_path / "run.csv"
-    config.write_text("[prc.surfaces]\ngamma = 1\n")
-    result = prc(f"classify {source} {config} --config {config} --overwrite")
-    assert result.code == 2
-    assert "the output is the input itself" in result.err
-    prc(f"classify {source} {tmp_path}/drive.las")
-    track = tmp_path / "track.csv"
-    track.write_text("time,x,y,z\n0,0,0,0\n1,0,0,0\n")
-    result = prc(f"classify {tmp_path}/drive.las {track} --overwrite --range trajectory:{track}")
-    assert result.code == 2
-    assert "the output is the input itself" in result.err
-    assert track.read_text().startswith("time,x,y,z")
+def test_a_guess_is_in_the_run_record(prc: Prc, tmp_path: Path) -> None:
+    angle_deg = np.rad2deg(BEAM) + 40.0
+    np.savez(tmp_path / "drive.npz", range_m=street_lines(60)[0], angle_deg=angle_deg)
+    assert prc(f"classify {tmp_path}/drive.npz {tmp_path}/o.npy --preset fused -q").code in (0, 4)
+    record = json.loads((tmp_path / "o.npy.prc.json").read_text())
+    (guess,) = [item for item in record["assumptions"] if item["key"] == "input.nadir"]
+    assert float(guess["value"].split()[0]) == pytest.approx(40.0, abs=1.0)
+    assert "ground" in guess["why"]
 
 
 def test_a_trajectory_starts_where_it_was_named(
@@ -204,12 +187,12 @@ def test_a_trajectory_starts_where_it_was_named(
     (tmp_path / "conf").mkdir()
     (tmp_path / "conf" / "run.toml").write_text('[input]\nrange = "trajectory:track.csv"\n')
     monkeypatch.chdir(tmp_path)
-    shown = json.loads(prc("config show --config conf/run.toml --json").out)
+    shown = prc.json("config show --config conf/run.toml")
     assert (
         Path(shown["config"]["input"]["range"].partition(":")[2]) == tmp_path / "conf" / "track.csv"
     )
     option = ["--range", "trajectory:track.csv"]
-    shown = json.loads(prc("config show --config conf/run.toml --json", *option).out)
+    shown = prc.json("config show --config conf/run.toml", *option)
     assert shown["config"]["input"]["range"] == "trajectory:track.csv"
 
 
@@ -250,37 +233,18 @@ def test_what_speaks_against_a_stream_is_told_and_it_is_converted(prc: Prc, tmp_
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A street, a forest, and a drive that is slow and then stands."""
     place = tmp_path_factory.mktemp("explain")
-    from prc_cli.jobs.simulate import simulate
-    from prc_cli.simulation.settings import load_settings
-
-    scans: dict[str, tuple[Kind, dict[str, object]]] = {
-        "street": ("street", {"lines": 160, "seed": 21, "scanner": {"points_per_line": 720}}),
-        "static": (
-            "street-scan",
-            {
-                "seed": 22,
-                "scanner": {"azimuth_step_deg": 1.5, "points_per_line": 313},
-                "station": {"turn_deg": 120.0},
-            },
-        ),
-        "forest": (
-            "forest",
-            {"lines": 150, "sight_m": 20.0, "seed": 931, "scanner": {"points_per_line": 712}},
-        ),
-    }
-    for name, (kind, options) in scans.items():
-        simulate(kind, place / f"{name}.npz", load_settings(kind, options=options))
-    ranges, _ = street_lines(40, noise_m=0.0)
-    lines = np.concatenate(
-        [np.arange(8), np.arange(32, 128) // 4, np.full(40, 32)]
-    )  # slow, then standing
+    ranges = street_lines(40, noise_m=0.0)[0]
+    lines = np.concatenate([np.arange(8), np.arange(32, 128) // 4, np.full(40, 32)])
     noise = np.random.default_rng(3).normal(0, 0.002, (len(lines), len(BEAM)))
-    np.savez(
-        place / "slow.npz",
-        range_m=(ranges[lines] + noise).astype(np.float32),
-        angle_deg=np.rad2deg(BEAM),
-    )
+    for name, range_m in (
+        ("street", street_lines(120)[0]),
+        ("forest", forest_lines(120)),
+        ("slow", ranges[lines] + noise),
+    ):
+        angle_deg = np.rad2deg(BEAM)
+        np.savez(place / name, range_m=range_m.astype(np.float32), angle_deg=angle_deg)
     return place
 
 
@@ -289,10 +253,8 @@ CASES = [
     ("street", "fused"),
     ("street", "street-scan"),
     ("street", None),
-    ("static", "street-scan"),
     ("forest", "forest"),
     ("forest", "fused-forest"),
-    ("forest", "urban"),
     ("slow", "fused"),
 ]
 
@@ -304,15 +266,19 @@ def of_each(reasons: NDArray[np.uint8], seed: int) -> list[tuple[int, int]]:
     return [tuple(there[rng.integers(len(there))].tolist()) for there in places]
 
 
+def test_a_shot_is_explained_with_its_range_and_beam(prc: Prc, folder: Path) -> None:
+    with np.load(folder / "street.npz") as scan:
+        range_m = scan["range_m"][3, 800]
+    result = prc(f"explain {folder}/street.npz --at 3,800 --preset fused --set input.nadir=0")
+    assert "street.npz: line 3, column 800: ground, code 2" in result.out
+    assert f"record 5,303, range {range_m:.3f} m, 10.00 deg from straight down" in result.out
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "preset"), CASES)
 def test_class_and_rule_are_those_of_classify(folder: Path, name: str, preset: str | None) -> None:
-    input_options: dict[str, object] = (
-        {"nadir": 0.0} if (name, preset) == ("street", "street-scan") else {}
-    )
-    loaded = load_config(
-        preset=preset, options={"input": {**input_options}, "output": {"reason": True}}
-    )
+    options = {"input": {"nadir": 0.0}, "output": {"reason": True}}
+    loaded = load_config(preset=preset, options=options)
     source = folder / f"{name}.npz"
     output = folder / f"{name}-{preset}.parquet"
     summary = classify(source, output, loaded, overwrite=True)
@@ -376,9 +342,6 @@ def test_outputs_are_whole_or_not_there(prc: Prc, tmp_path: Path) -> None:
     assert "inputs are never modified" in result.err
 
 
-LAYOUT = "[layout]\n[[layout.fields]]\nname = 'range'\ntype = 'f4'\n"
-
-
 @pytest.mark.parametrize("output", [".", "sub"])
 def test_a_file_is_written_into_a_folder(
     prc: Prc,
@@ -394,36 +357,11 @@ def test_a_file_is_written_into_a_folder(
     assert len(np.load(tmp_path / output / "drive.bin.labels.npy")) == street().size
 
 
-def test_an_empty_name_is_no_output(prc: Prc, tmp_path: Path) -> None:
-    drive = write_raw(tmp_path / "drive.bin", street())
-    result = prc(f"classify {drive}", "", "-M", POINTS_PER_LINE)
-    assert result.code == 2
-    assert "the name is empty; give the name of a file" in result.err
-    assert list(tmp_path.iterdir()) == [drive]
-
-
-def test_a_layout_that_a_format_has_no_use_for_is_refused(prc: Prc, tmp_path: Path) -> None:
-    layout = tmp_path / "layout.toml"
-    layout.write_text(LAYOUT)
-    image = tmp_path / "drive.npz"
-    np.savez(image, range_m=street())
-    said = (
-        "layout.fields: does nothing: .npz files describe their records themselves; leave it "
-        "out; ranges in mm"
-    )
-    for words in (("classify", image, tmp_path / "o.npy"), ("info", image)):
-        result = prc(*words, "--layout", layout)
-        assert result.code == 2
-        assert said in result.err
-    np.savez(image, range_m=1000 * street())
-    result = prc(f"classify {image} {tmp_path}/o.npy --set input.range_scale=0.001 -v")
+def test_options_that_are_used_are_told(prc: Prc, tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "drive.npz", 1000 * street())
+    result = prc(f"classify {source} {tmp_path}/o.npy --set input.range_scale=0.001 -v")
     assert result.code in (0, 4)
     assert "input.range_scale" in result.err
-    dump = write_raw(tmp_path / "drive.bin", street())
-    assert (
-        "not used"
-        not in prc(f"classify {dump} {tmp_path}/p.npy --layout {layout} -M {POINTS_PER_LINE}").err
-    )
 
 
 @pytest.mark.slow

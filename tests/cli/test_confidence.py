@@ -50,7 +50,7 @@ def test_evaluate_tells_how_reliable_it_is(prc: Prc, folder: Path) -> None:
         "of the 90 % with the most",
     ):
         assert text in shown.out
-    evaluation = json.loads(prc(*command, "--by", "confidence:50,90,99", "--json").out)
+    evaluation = prc.json(*command, "--by", "confidence:50,90,99")
     sure = values(labels)
     parts = evaluation["splits"]["confidence"]
     assert [part["low"] for part in parts] == [0, 50, 90, 99]
@@ -86,15 +86,6 @@ def test_thin_drops_what_is_not_sure(prc: Prc, folder: Path) -> None:
         refused = prc(f"thin {folder}/scan.npz {folder}/no.npz", *options, *least)
         assert (refused.code, expected_words in refused.err) == (2, True)
         assert not (folder / "no.npz").exists()
-
-
-def test_other_methods_refuse_in_one_line(prc: Prc, folder: Path) -> None:
-    for preset in ("prc-2019-urban", "street-scan"):
-        options = ("--preset", preset, *SET[2:])
-        result = prc(f"classify {folder}/scan.npz {folder}/no.csv", *options)
-        assert (result.code, result.err.count("\n")) == (2, 1)
-        assert "output.confidence: this method has no confidence" in result.err
-        assert not (folder / "no.csv").exists()
 
 
 def test_the_most_confident_of_a_real_strip_are_right(

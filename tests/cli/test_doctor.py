@@ -13,35 +13,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli.cli import main
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.types import F32
 from prc_cli.jobs import doctor
 from prc_cli.jobs.classify import ClassifiedRanges
 from prc_cli.jobs.doctor import Check, examine
 from tests import patience
+from tests.cli.conftest import Prc
 
 
 def checks(out: Path | None = None) -> dict[str, Check]:
     return {check.name: check for check in examine(out, run=False)}
 
 
-def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
-    capsys.readouterr()
-    with pytest.raises(SystemExit) as stop:
-        main(["doctor", *arguments])
-    captured = capsys.readouterr()
-    return int(stop.value.code or 0), captured.out, captured.err
-
-
 @pytest.mark.slow
-def test_this_installation_is_sound_from_end_to_end(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    code, out, _ = run(capsys, "--json", str(tmp_path / "new" / "folder"))
-    report = json.loads(out)
+def test_this_installation_is_sound_from_end_to_end(prc: Prc, tmp_path: Path) -> None:
+    result = prc(f"doctor --json {tmp_path}/new/folder")
+    report = json.loads(result.out)
     by_name = {check["name"]: check for check in report["checks"]}
-    assert code == 0, report
+    assert result.code == 0, report
     assert report["counts"]["bad"] == 0
     assert by_name["end to end"]["details"]["scores"]["recall.ground"] > 0.95
     assert by_name["engines"]["details"]["different"] == {

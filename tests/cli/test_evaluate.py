@@ -150,13 +150,6 @@ def test_a_reference_of_class_names_is_read(prc: Prc, tmp_path: Path) -> None:
     assert (code, json.loads(out)["overall"]["accuracy"]) == (0, 1.0)
 
 
-def test_the_help_names_a_cloud_classified_after_registration(prc: Prc) -> None:
-    code, out, _ = prc("--help")
-    assert code == 0
-    assert "CAR" in out
-    assert "prc evaluate classified.laz car.laz --match nearest" in out
-
-
 def rows(
     path: Path,
     codes: list[int],

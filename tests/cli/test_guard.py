@@ -22,7 +22,9 @@ from tests.patience import HANGS_S
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the guard is for Linux")
 ROOT = Path(__file__).resolve().parents[2]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 URBAN = ("--preset", "prc-2019-urban", "--trust-order")
+STREAM = [sys.executable, *["-m", "prc_cli", "stream", "-M", "40", "--preset", "prc-2019-urban"]]
 
 CRASH = """
 import os, signal, sys
@@ -53,7 +55,7 @@ cli.main()
 def prc(
     *words: str | Path, guarded: bool = True, **options: object
 ) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), watching.SWITCH: "1" if guarded else "0"}
+    environment = {**ENVIRONMENT, watching.SWITCH: "1" if guarded else "0"}
     command = [sys.executable, "-m", "prc_cli", *map(str, words)]
     return patience.run(
         command, capture_output=True, text=True, env=environment, cwd=ROOT, **options
@@ -62,9 +64,7 @@ def prc(
 
 def crashed(number: int, *words: str | Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", CRASH, str(number), *map(str, words)]
-    return patience.run(
-        command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}
-    )
+    return patience.run(command, capture_output=True, text=True, env=ENVIRONMENT)
 
 
 @pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGABRT, signal.SIGKILL])
@@ -154,14 +154,12 @@ def test_signals_reach_the_work_once(number: signal.Signals, to_all: bool) -> No
 
     To the process that was started, or to all of its group.
     """
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "prc_cli", "stream", "-M", "40", "--preset", "prc-2019-urban"]
     with patience.start(
-        command,
+        STREAM,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        env=environment,
+        env=ENVIRONMENT,
     ) as process:
         assert process.stdin is not None
         process.stdin.write(np.ones((400, 40), "<f4").tobytes())
@@ -214,9 +212,8 @@ def test_a_library_that_never_returns_ends_all_the_same(
     """After one signal and some patience, or at once after the second."""
     (tmp_path / "a.db3").touch()
     command = [sys.executable, "-c", ENDLESS, "600", "info", str(tmp_path / "a.db3")]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with patience.start(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT
     ) as process:
         assert process.stdout is not None
         process.stdout.read(1)
@@ -234,9 +231,7 @@ def test_a_library_that_never_returns_ends_all_the_same(
 def test_a_step_has_a_limit_of_processor_time(tmp_path: Path) -> None:
     (tmp_path / "a.db3").touch()
     command = [sys.executable, "-c", ENDLESS, "1", "info", str(tmp_path / "a.db3")]
-    ended = patience.run(
-        command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}
-    )
+    ended = patience.run(command, capture_output=True, text=True, env=ENVIRONMENT)
     said = (
         f"error: {tmp_path}/a.db3: decoding it made no progress in 1 s of processor time\n"
         "  no output was left behind\n"
@@ -254,10 +249,8 @@ def test_a_page_that_says_two_gigabytes_is_one_line(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_work_ends_with_its_guard() -> None:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "prc_cli", "stream", "-M", "40", "--preset", "prc-2019-urban"]
     with patience.start(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
+        STREAM, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=ENVIRONMENT
     ) as process:
         place = Path(f"/proc/{process.pid}/task/{process.pid}/children")
         patience.wait_until(lambda: place.read_text().split(), "the child")

@@ -46,11 +46,11 @@ def test_what_was_found_is_said(prc: Prc, cloud: Path) -> None:
         "m/s (median)",
         "m above the ground",
         "lines a second",
-        "mm from their beams",
+        "mm from their beams (median), 100% are on a beam",
         "are interpolated",
     ):
         assert words in said, words
-    (figures,) = json.loads(prc(f"info {cloud} --range points --json").out)["path_found"]["passes"]
+    (figures,) = prc.json(f"info {cloud} --range points")["path_found"]["passes"]
     assert figures["lines_hz"] == pytest.approx(LINES_HZ, rel=2e-4)
     assert figures["shots_hz"] == pytest.approx(SHOTS_HZ, rel=1e-4)
     assert figures["points_per_line"] == SHOTS_HZ / LINES_HZ
@@ -90,7 +90,7 @@ def test_the_path_is_written_with_its_uncertainty_and_read_again(
     table = np.genfromtxt(output, delimiter=",", names=True)
     assert off_m(output) < 0.02
     assert 0.0 < np.median(table["sigma_x"]) < 0.01
-    report = json.loads(prc(f"info {cloud} --range trajectory:{output} --sort-by-time --json").out)
+    report = prc.json(f"info {cloud} --range trajectory:{output} --sort-by-time")
     assert not report["problem"]
     before = output.read_bytes()
     refused = prc(f"info {cloud} --range points --path {output}")
@@ -176,19 +176,23 @@ def test_the_path_of_a_cloud_in_feet_is_in_feet(
     assert ".csv" in refused.err
 
 
-def test_two_passes_are_one_path_with_a_gap(prc: Prc, tmp_path: Path) -> None:
+def test_two_passes_are_one_path_with_a_gap(
+    prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     cloud = write_cloud(tmp_path / "two.las", make_corridor(begin_s=BEGIN_S, gap_s=60.0))
     output = tmp_path / "path.csv"
-    report = json.loads(prc(f"info {cloud} --range points --path {output} --json").out)
+    report = prc.json(f"info {cloud} --range points --path {output}")
     assert len(report["path_found"]["passes"]) == 2
     assert report["written"] == [str(output)]
     # the directions of the beams are known for every pass
     assert report["method"] == "fused"
     table = np.genfromtxt(output, delimiter=",", names=True)
     assert sorted(set(table["pass"])) == [0, 1]
-    again = json.loads(prc(f"info {cloud} --range trajectory:{output} --sort-by-time --json").out)
+    again = prc.json(f"info {cloud} --range trajectory:{output} --sort-by-time")
     assert "gap" not in again["problem"]
     assert "outside" not in again["problem"]
+    monkeypatch.setattr("prc_cli.cli.info.MOST_SHOWN", 1)
+    assert "and 1 more" in prc(f"info {cloud} --range points").out
 
 
 def test_a_clock_that_differs_is_measured_and_the_command_that_mends_it_works(
@@ -226,9 +230,7 @@ def test_other_coordinates_are_refused_with_the_command_that_does_without(
     corridor: Corridor,
 ) -> None:
     trajectory = write_trajectory(tmp_path / "moved.csv", corridor, moved_m=(1000.0, -500.0, 0.0))
-    report = json.loads(
-        prc(f"info {cloud} --range trajectory:{trajectory} --check-path --json").out
-    )
+    report = prc.json(f"info {cloud} --range trajectory:{trajectory} --check-path")
     assert "moved by x -1,000.0, y 500.0, z 0.0 m" in report["problem"]
     assert report["command"].endswith("--range points")
     assert not report["classifiable"]

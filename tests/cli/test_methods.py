@@ -15,7 +15,7 @@ import pytest
 
 from prc_cli.core.classes import ClassCodes
 from tests.cli.conftest import Prc
-from tests.formats.organised_files import Scan, e57_fields, ptx_scan, write_e57, write_text
+from tests.formats.organised_files import ptx_scan, write_text
 from tests.simulated import static_arrays
 
 Array = np.ndarray
@@ -46,22 +46,6 @@ def npz(folder: Path) -> Path:
 
 def ptx(folder: Path) -> Path:
     return write_text(folder / "scan.ptx", ptx_scan(points()[0]))
-
-
-def e57(folder: Path) -> Path:
-    return write_e57(folder / "scan.e57", [Scan(e57_fields(points()[0], keep_missing=True))])
-
-
-def ptx_that_lies(folder: Path) -> Path:
-    text = ptx(folder).read_text().splitlines()
-    text[1] = str(int(text[1]) + 7)
-    return write_text(folder / "scan.ptx", "\n".join(text) + "\n")
-
-
-def e57_truncated(folder: Path) -> Path:
-    path = e57(folder)
-    os.truncate(path, path.stat().st_size // 2)
-    return path
 
 
 def ranges_alone(folder: Path) -> Path:
@@ -99,8 +83,6 @@ REFUSED: list[tuple[Callable[[Path], Path], list[str]]] = [
     (registered, ["xyz"]),
     (wrong_shape, ["xyz", "(60, 41, 3)"]),
     (level, ["scan.npz", "lines do not rise"]),
-    (ptx_that_lies, ["line 30010", "30000 points", "120 columns x 257 rows"]),
-    (e57_truncated, ["scan.e57"]),
 ]
 
 

@@ -13,19 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli.cli import main
 from tests import patience
+from tests.cli.conftest import Prc
 from tests.patience import HANGS_S
 from tests.street import POINTS_PER_LINE, street
 
-URBAN = (
-    "--preset",
-    "prc-2019-urban",
-    "-M",
-    str(POINTS_PER_LINE),
-    "--set",
-    "prc.lines_per_block=16",
-)
+URBAN = f"--preset prc-2019-urban -M {POINTS_PER_LINE} --set prc.lines_per_block=16".split()
 
 
 def start(*arguments: str) -> subprocess.Popen[bytes]:
@@ -51,29 +44,13 @@ def take(process: subprocess.Popen[bytes], n_bytes: int) -> bytes:
     return received
 
 
-def reference(tmp_path: Path, data: bytes, *arguments: str) -> bytes:
-    """Labels of ``prc classify`` for the same bytes in a file."""
-    (tmp_path / "drive.bin").write_bytes(data)
-    with pytest.raises(SystemExit) as end:
-        main(
-            [
-                "classify",
-                str(tmp_path / "drive.bin"),
-                str(tmp_path / "labels.npy"),
-                "-q",
-                *arguments,
-            ]
-        )
-    assert end.value.code == 0
-    labels: bytes = np.load(tmp_path / "labels.npy").tobytes()
-    return labels
-
-
-def test_the_bytes_of_classify(tmp_path: Path) -> None:
+def test_the_bytes_of_classify(prc: Prc, tmp_path: Path) -> None:
     data = street().tobytes()
     code, out, err = run(data, *URBAN, "--set", "layout.line_frequency=48")
     assert code == 0, err
-    assert out == reference(tmp_path, data, *URBAN)
+    (tmp_path / "drive.bin").write_bytes(data)
+    assert prc(f"classify {tmp_path}/drive.bin {tmp_path}/labels.npy -q", *URBAN).code == 0
+    assert out == np.load(tmp_path / "labels.npy").tobytes()
     assert "137 lines" in err
     assert "x real time" in err
 

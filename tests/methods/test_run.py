@@ -15,7 +15,7 @@ from prc_cli.core.classes import Label, Reason
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, U8
-from prc_cli.methods.base import Classifier, MethodParams, Needs, OneByOne, Part, Turn, Wanted
+from prc_cli.methods.base import Classifier, MethodParams, Needs, Part, Turn, Wanted
 from prc_cli.methods.forest.thresholds import FOREST
 from prc_cli.methods.fused.thresholds import STREET
 from prc_cli.methods.methods import METHODS, MethodTables, table_of
@@ -97,20 +97,6 @@ def test_every_scanner_has_a_state_of_its_own_whatever_the_threads(k: int) -> No
     assert [len(lines) for lines in alone.values()] == [60, 60]
     for threads in (1, 2, 5):
         assert labels_of(Parity(k), threads) == alone
-
-
-def test_blocks_one_by_one_give_the_same() -> None:
-    method = Parity(5)
-    turn = OneByOne(method.initial_state(3))
-    labels = []
-    for block in blocks(1):
-        (item,) = method.label(block, 3, turn, Wanted())
-        labels += item.labels.tolist()
-    lines = [
-        line for item in run_blocks(blocks(1), method, threads=3) for line in item.labels.tolist()
-    ]
-    assert labels == lines
-    assert turn.state.n_lines == 60
 
 
 def test_a_runner_that_is_left_early_leaves_no_thread() -> None:

@@ -5,24 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from prc_cli.core.errors import InputError
-from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import RecordChunk
-from prc_cli.formats.text.read import TextSource
-from prc_cli.jobs.classify import classify
-from prc_cli.jobs.convert import convert
 from prc_cli.streams import head as heads
 from prc_cli.streams.grid import open_grid
 from prc_cli.streams.head import Head
 from tests.streams.record_lists import MemorySource, scene
-from tests.street import street, write_csv
 
 N = 2_000
 
@@ -79,32 +72,3 @@ def test_rules_and_setup_decode_the_head_once() -> None:
     assert len(source.reads) == 3
     list(stream.blocks())
     assert len(source.reads) == 4
-
-
-def classify_counting(
-    monkeypatch: pytest.MonkeyPatch,
-    kind: type[TextSource] | type[LasSource],
-    source: Path,
-    output: Path,
-) -> list[tuple[str, ...]]:
-    """Classify a file and return what each of its decodings asked for."""
-    reads: list[tuple[str, ...]] = []
-    chunks = kind.chunks
-
-    def counted(source: Any, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        reads.append(names)
-        return chunks(source, names)
-
-    monkeypatch.setattr(kind, "chunks", counted)
-    classify(source, output)
-    return reads
-
-
-@pytest.mark.parametrize("suffix", ["las", "laz"])
-def test_decodings_of_a_cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str) -> None:
-    source = tmp_path / f"drive.{suffix}"
-    convert(write_csv(tmp_path / "drive.csv", street()), source)
-    reads = classify_counting(monkeypatch, LasSource, source, tmp_path / f"out.{suffix}")
-    head, blocks = [set(names) for names in reads if "range" in names]
-    assert "angle" in head
-    assert "angle" not in blocks

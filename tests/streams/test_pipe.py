@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import os
-import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -114,24 +111,6 @@ def test_what_would_need_the_whole_input_first() -> None:
         open_pipe(Pieces(b"", [1]), InputConfig(points_per_line=3, order="sort-time"), RANGES)
     with pytest.raises(ConfigError, match="no dimension 'time' in the file; it has: range"):
         next(PipeSource(Pieces(b"", [1]), RANGES).chunks(("time",)))
-
-
-def test_a_real_pipe() -> None:
-    read_end, write_end = os.pipe()
-    values = np.arange(1, 100_001, dtype="<f4")
-
-    def write() -> None:
-        with os.fdopen(write_end, "wb") as out:
-            out.write(values.tobytes())
-
-    writer = threading.Thread(target=write)
-    writer.start()
-    with io.FileIO(read_end) as handle:
-        source = PipeSource(handle, RANGES)
-        source.seal()
-        ranges = ranges_of(source)
-    writer.join()
-    assert ranges == values.tolist()
 
 
 @dataclass

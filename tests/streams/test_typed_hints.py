@@ -6,7 +6,7 @@ import re
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from prc_cli.cli import main
 from prc_cli.streams.down import guess_down
+from tests.cli.conftest import Result
 from tests.formats.builders import write_csv, write_las
 from tests.formats.cloud_files import ply
+from tests.messages import folded
 from tests.simulated import drive_arrays
 
 LINES = 120
@@ -148,28 +150,19 @@ OPTION = re.compile(
 PLACEHOLDER = re.compile(r"\b[A-Z]{2,}\b|X,Y,Z")
 
 
-@dataclass(frozen=True)
-class Answer:
-    """What a command printed, and its exit code."""
-
-    code: int
-    said: str
-
-    @property
-    def problems(self) -> tuple[str, ...]:
-        """Return refusals and warnings, without their figures."""
-        lines = [line for line in self.said.splitlines() if line.startswith(("error", "warning"))]
-        return tuple(
-            re.sub(r"[\d.,]+", "#", line.split("; ")[0].split(", expected")[0]) for line in lines
-        )
-
-
-def prc(capsys: pytest.CaptureFixture[str], *arguments: str) -> Answer:
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> Result:
+    """Run ``prc``; the hint of a message is in its line."""
     capsys.readouterr()
     with pytest.raises(SystemExit) as stop:
-        main(list(arguments))
+        main([str(word) for word in words])
     printed = capsys.readouterr()
-    return Answer(int(stop.value.code or 0), printed.out + printed.err)
+    return Result(int(stop.value.code or 0), printed.out, folded(printed.err))
+
+
+def problems_of(result: Result) -> set[str]:
+    """Return refusals and warnings, without their figures."""
+    lines = [line for line in result.err.splitlines() if line.startswith(("error", "warning"))]
+    return {re.sub(r"[\d.,]+", "#", line.split("; ")[0].split(", expected")[0]) for line in lines}
 
 
 def typed_by(said: str) -> list[list[str]]:
@@ -196,15 +189,16 @@ def test_a_hint_leads_on_when_typed(
     fault = FAULTS[name]
     path = tmp_path / f"drive{suffix}"
     WRITERS[suffix](path, fault.alter(street()))
-    output = str(tmp_path / "labels.npy")
-    first = prc(capsys, "classify", str(path), output, *fault.options)
-    typed = typed_by(first.said) + proposed(prc(capsys, "info", str(path), *fault.options).said)
-    for options in typed:
+    output = tmp_path / "labels.npy"
+    prc = partial(run, capsys)
+    classify = ("classify", path, output, "--overwrite", *fault.options)
+    first = prc(*classify)
+    for options in typed_by(first.err) + proposed(prc("info", path, *fault.options).out):
         if set(options) <= set(fault.options):
             continue
-        again = prc(capsys, "classify", str(path), output, "--overwrite", *fault.options, *options)
-        is_left = set(first.problems) <= set(again.problems)
-        assert again.code == 0 or not is_left, (options, again.said)
+        again = prc(*classify, *options)
+        is_left = problems_of(first) <= problems_of(again)
+        assert again.code == 0 or not is_left, (options, again.err)
 
 
 def proposed(said: str) -> list[list[str]]:

@@ -8,14 +8,10 @@ import numpy as np
 import pytest
 
 from prc_cli.core.classes import Label
-from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, U8
-from prc_cli.methods.base import OneByOne, Wanted
 from prc_cli.methods.fused.pipeline import (
-    Fused,
     FusedParams,
     FusedScanner,
-    initial_state,
 )
 from prc_cli.methods.fused.plane import ScanPlane
 from prc_cli.methods.fused.range_noise import DEFAULT_NOISE_M, NoiseAlong, SensorParams
@@ -130,19 +126,3 @@ def test_nothing_depends_on_threads_and_cuts(name: str) -> None:
     ranges = street_lines(150)[0]
     whole = results("fused", name, ranges, 150)
     np.testing.assert_array_equal(results("fused", name, ranges, 17, threads=3), whole)
-
-
-def test_every_line_has_the_noise_measured_up_to_it() -> None:
-    """Of a drive that begins beneath trees."""
-    ranges = np.tile(street_lines(64)[0], (4, 1))
-    ranges[:128] += np.random.default_rng(8).exponential(0.1, ranges[:128].shape).astype(np.float32)
-    turn = OneByOne(initial_state(SCANNER))
-    noises_m = []
-    for first in range(0, len(ranges), 64):
-        block = ScanBlock(
-            first, ranges[first : first + 64], next_m=ranges[first + 64 : first + 64 + 47]
-        )
-        (labelled,) = Fused(PARAMS).label(block, SCANNER, turn, Wanted(measures=True))
-        noises_m += labelled.measures["range noise [m]"][:, 0].tolist()
-    assert noises_m == noise_along(ranges, SensorParams(), 64)
-    assert len(set(noises_m)) > 4

@@ -22,6 +22,7 @@ from prc_cli.methods.prc.support import (
 from tests.loops.twins import assert_equal_bits
 from tests.methods.prc import paper
 from tests.methods.prc.streams import random_params, random_stream, run_stream, to_settings
+from tests.simulated import drive_arrays
 
 
 def assert_equals_oracle(seed: int) -> set[int]:
@@ -50,20 +51,7 @@ def test_pipeline_equals_the_oracle_on_any_seed(seed: int) -> None:
 
 
 def test_pipeline_equals_the_oracle_at_the_published_parameters() -> None:
-    rng = np.random.default_rng(5)
-    h = np.arange(400)
-    street = np.where(
-        np.abs(h - 100) < 90, 2 + np.abs(h - 100) / 8, np.where(h > 300, 14 - (h - 300) / 70, 9.0)
-    )
-    stream = np.repeat(street[None], 230, axis=0)
-    stream[120:140, 150:200] = 4.0  # a car
-    foliage = (slice(60, 110), slice(220, 280))
-    stream[foliage] += rng.uniform(-2, 2, (50, 60))
-    stream += rng.integers(-3, 4, stream.shape) * 0.001
-    noise = rng.random(stream.shape) < 0.03
-    stream[noise] = rng.uniform(1, 80, np.count_nonzero(noise))
-    stream[rng.random(stream.shape) < 0.05] = np.nan
-    image = stream.astype(np.float32)
+    image = drive_arrays(230, 400, 5)[0].range_m
     for params in (
         PrcParams(),
         build(

@@ -221,12 +221,8 @@ def snowy(made: Scene) -> tuple[F32, F32, F32, Mask]:
 @pytest.mark.parametrize("is_lit", [True, False])
 def test_snow_is_noise(made: Scene, is_lit: bool) -> None:
     ranges, xyz, light, flake = snowy(made)
-    block = ScanBlock(
-        0, ranges, xyz_m=xyz, beam_rad=BEAM, is_last=True, intensity=light if is_lit else None
-    )
-    is_noise = (
-        np.concatenate([item.labels for item in label_blocks(iter([block]), PARAMS)]) == Label.NOISE
-    )
+    intensity = light if is_lit else None
+    is_noise = labelled(ranges, xyz, chunk=len(ranges), intensity=intensity) == Label.NOISE
     assert (is_noise & flake).sum() / flake.sum() > (0.85 if is_lit else 0.7)
     assert (is_noise & flake).sum() / is_noise.sum() > (0.9 if is_lit else 0.8)
 
@@ -237,11 +233,9 @@ def test_intensities_that_tell_nothing_count_as_none(made: Scene, light: float |
     equal = (
         np.round(lit / 20) * 20 if light == "steps" else np.full(ranges.shape, light, np.float32)
     )
-    blocks = [
-        ScanBlock(0, ranges, xyz_m=xyz, beam_rad=BEAM, is_last=True, intensity=intensity)
-        for intensity in (None, equal)
-    ]
-    none, with_equal = (next(iter(label_blocks(iter([block]), PARAMS))).labels for block in blocks)
+    none, with_equal = (
+        labelled(ranges, xyz, chunk=len(ranges), intensity=intensity) for intensity in (None, equal)
+    )
     np.testing.assert_array_equal(with_equal, none)
 
 
@@ -254,14 +248,6 @@ def test_mirror_images_below_the_ground_are_noise(made: Scene) -> None:
     assert (image[mirrored] == Label.NOISE).mean() > 0.9
     road = (body == 1) & ~mirrored
     assert (image[road] == Label.GROUND).mean() > 0.95
-
-
-def test_few_rings_are_known_before_any_label(made: Scene, prc: Prc, tmp_path: Path) -> None:
-    ranges, xyz, _ = made
-    np.savez(tmp_path / "scan.npz", range_m=ranges, xyz=xyz)
-    result = prc(f"info {tmp_path}/scan.npz")
-    assert "warning: few-rings" in result.out
-    assert "as it is" not in result.out
 
 
 def test_reasons_measures_and_further_returns(made: Scene) -> None:

@@ -52,6 +52,12 @@ def test_period_of_a_street(m: int, n_lines: int) -> None:
     assert estimate.n_shots_used == m * n_lines
 
 
+@pytest.mark.parametrize(("n_shots", "m"), [(99, None), (100, 5)])
+def test_a_hundred_ranges_are_enough(n_shots: int, m: int | None) -> None:
+    line = np.random.default_rng(2).uniform(2, 20, 5).astype(np.float32)
+    assert estimate_points_per_line(np.tile(line, 20)[:n_shots]).points_per_line == m
+
+
 @pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(("number", "m"), [(1, 229), (2, 226), (3, 240)])

@@ -52,6 +52,10 @@ def seen(n_lines: int = 24, m: int = M, n_rows: int = 2, **more: float) -> Seen:
     return Seen(StreamInfo("a.npy", "array", m, None, None), 0, windows, n_lines=n_lines, **more)  # type: ignore[arg-type]
 
 
+def verdict_of(finding: Finding | None) -> tuple[Verdict, str]:
+    return answer_of(finding)[:2]
+
+
 def answer_of(finding: Finding | None) -> tuple[Verdict, str, str]:
     assert finding is not None
     return finding.verdict, finding.sentence(), finding.option
@@ -214,11 +218,6 @@ def counted(ranges: ArrayLike = (), **more: Any) -> Seen:
     return Seen(StreamInfo("a.npy", "array", 10, None, None), 0, windows, **more)
 
 
-def verdict_of_counts(finding: Finding | None) -> tuple[Verdict, str]:
-    assert finding is not None
-    return finding.verdict, finding.sentence()
-
-
 @pytest.mark.parametrize(
     ("n", "verdict", "share"),
     [
@@ -231,13 +230,13 @@ def verdict_of_counts(finding: Finding | None) -> tuple[Verdict, str]:
 )
 def test_lost_and_meeting_records(n: int, verdict: Verdict, share: str) -> None:
     scan = counted(tally=ReadTally(n_records=1000, n_collisions=n, n_unplaced=n), n_shots=7)
-    assert verdict_of_counts(check_collisions(scan)) == (
+    assert verdict_of(check_collisions(scan)) == (
         verdict,
         f"collisions: {share} of the records are in the cell of another shot, expected at "
         "most 1%; check --lines, "
         "--columns and -M; several scanners in one file: --scanner DIMENSION",
     )
-    assert verdict_of_counts(check_unplaced(scan)) == (
+    assert verdict_of(check_unplaced(scan)) == (
         verdict,
         f"unplaced: {share} of the records have no cell and stay unclassified, expected "
         "at most 1%; check --lines, "
@@ -260,7 +259,7 @@ def test_returns(
     verdict: Verdict,
     share: str,
 ) -> None:
-    assert verdict_of_counts(check_returns(counted(n_shots=n_shots, n_missing=n_missing))) == (
+    assert verdict_of(check_returns(counted(n_shots=n_shots, n_missing=n_missing))) == (
         verdict,
         f"returns: {share} of the shots have a range, expected at least 2%; check --range, "
         "input.max_range, the layout, "
@@ -276,7 +275,7 @@ def test_returns(
 def test_the_largest_range_as_a_code(n: int, usual_m: float, verdict: Verdict) -> None:
     finding = check_missing_code(counted(np.where(np.arange(1000) < n, 100.0, usual_m)))
     option = "--set input.max_range=99.9999924"
-    assert verdict_of_counts(finding) == (
+    assert verdict_of(finding) == (
         verdict,
         f"missing-code: {n / 10:.1f}% of the ranges are 100 m, the largest of all, "
         "expected at most 1%; if it means no return: "
@@ -294,11 +293,6 @@ def shots(n_windows: int = 1, **more: Any) -> Seen:
     windows = tuple(Window(100 * k, np.tile(STREET, (20, 1))) for k in range(n_windows))
     info = StreamInfo("a.npy", "array", len(BEAM), None, None, cos_tilt=more.pop("cos_tilt", 1.0))
     return Seen(info, 0, windows, **{"angle_rad": BEAM + 1.0, "beam_rad": BEAM, **more})
-
-
-def verdict_of_shots(finding: Finding | None) -> tuple[Verdict, str]:
-    assert finding is not None
-    return finding.verdict, finding.sentence()
 
 
 def deg(
@@ -351,7 +345,7 @@ def test_down_is_judged_by_the_angle(
     off = min(abs(off_deg), 360 - abs(off_deg))
     # the scan angle of straight down is 1 rad, 57.3 deg
     nadir = round(math.degrees(math.remainder(1.0 + math.radians(off_deg), 2 * math.pi)))
-    assert verdict_of_shots(check_down(shots())) == (
+    assert verdict_of(check_down(shots())) == (
         verdict,
         f"down: level ground is {off:.0f} deg from straight down (runner-up at 95 deg, 3.1 "
         "times weaker), expected "
@@ -396,7 +390,7 @@ def test_angle_step(
     hint = "; check the angles of the shots (input.angle_step) and -M"
     hint += "; to use the measured angles: --set input.angles=measured"
     hint = hint if verdict else ""
-    assert verdict_of_shots(check_angle_step(shots())) == (
+    assert verdict_of(check_angle_step(shots())) == (
         verdict,
         f"angle-step: {said}{off:.1%}), expected 0.92 to 1.08{hint}",
     )
@@ -441,4 +435,4 @@ def test_height(
     unit = f"--set input.range_scale{scale}" if scale else "input.range_scale"
     hint = f"; check the unit of the ranges, assumed to be metres: {unit}" if verdict else ""
     said = f"units: the scanner is {depth_m:.3g} m above the ground, expected {limits} m{hint}"
-    assert verdict_of_shots(check_height(scan)) == (verdict, said)
+    assert verdict_of(check_height(scan)) == (verdict, said)

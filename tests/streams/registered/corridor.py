@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pyproj
 
-from prc_cli.core.types import F64
+from prc_cli.core.types import F64, I64
 from tests.formats.builders import of_points, write_csv, write_las
 
 LINES_HZ = 50.0
@@ -32,6 +32,9 @@ class Corridor:
 
     time_s: F64
     xyz_m: F64
+    shot: I64
+    """Numbers of the shots in the order of firing, from 0."""
+    range_m: F64
     path_s: F64
     path_m: F64
 
@@ -60,13 +63,21 @@ def make_corridor(*, begin_s: float = 100.0, gap_s: float = 0.0) -> Corridor:
     local = station - CORNER_M
     to_side = np.where(beam[:, 1] > 0, LEFT_M - local[:, 1], RIGHT_M - local[:, 1]) / beam[:, 1]
     to_level = np.where(beam[:, 2] > 0, CEILING_M - local[:, 2], -local[:, 2]) / beam[:, 2]
-    xyz = station + np.minimum(to_side, to_level)[:, None] * beam
+    range_m = np.minimum(to_side, to_level)
+    xyz = station + range_m[:, None] * beam
     xyz += np.random.default_rng(3).normal(0.0, 0.002, xyz.shape)
     # a part of the ceiling is open
     seen = (np.sin(angle) < 0.95) | (beam[:, 2] < 0)
     later = np.where(since > 0.5 * DURATION_S, gap_s, 0.0)
     path_s = np.arange(-1.0, DURATION_S + 1.0, 0.005)
-    return Corridor((since + later + begin_s)[seen], xyz[seen], path_s + begin_s, stations(path_s))
+    return Corridor(
+        (since + later + begin_s)[seen],
+        xyz[seen],
+        np.flatnonzero(seen),
+        range_m[seen],
+        path_s + begin_s,
+        stations(path_s),
+    )
 
 
 def write_cloud(

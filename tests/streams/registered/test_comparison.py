@@ -18,19 +18,10 @@ ARM = np.array([0.6, -0.3, 1.1])
 def drive(time_s: F64, *, even: bool = False) -> tuple[F64, F64]:
     """Positions (n, 3) and axes (n, 3, 3) of a vehicle that turns and changes its speed, or does
     not."""
-    if even:
-        heading = 0.0 * time_s
-        x = 8.0 * time_s
-        y = 0.0 * time_s
-    else:
-        heading = 0.02 * time_s + 0.5 * np.sin(0.1 * time_s)
-        fine = np.arange(time_s[0], time_s[-1] + 0.001, 0.001)
-        turn = 0.02 * fine + 0.5 * np.sin(0.1 * fine)
-        speed = 8.0 + 2.0 * np.sin(0.3 * fine)
-        x, y = (
-            np.interp(time_s, fine, np.cumsum(speed * part) * 0.001)
-            for part in (np.cos(turn), np.sin(turn))
-        )
+    turns = 0.0 if even else 1.0
+    heading = turns * (0.02 * time_s + 0.5 * np.sin(0.1 * time_s))
+    step_m = (8.0 + turns * 2.0 * np.sin(0.3 * time_s)) * (time_s[1] - time_s[0])
+    x, y = (np.cumsum(step_m * part) for part in (np.cos(heading), np.sin(heading)))
     zero = 0.0 * time_s
     ones = 1.0 + 0.0 * time_s
     forward = np.stack([np.cos(heading), np.sin(heading), zero], axis=1)
