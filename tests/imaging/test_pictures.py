@@ -197,6 +197,8 @@ def test_the_data_of_the_page_are_the_shots() -> None:
     assert [entry["name"] for entry in about["classes"] if entry["hidden"]] == ["ground"]
     assert about["order"][0] == 8
     assert about["mirrored"] is True
+    # one shot lies far away, and the page looks at the others
+    np.testing.assert_allclose(about["box"]["centre"], (650_000, 6_860_000, 40), atol=10)
     assert len(about["ramp"]) == 256
 
 

@@ -177,14 +177,14 @@ def test_true_answers_give_scores_near_the_truth(
     drive: tuple[Path, Path, U8], config: LoadedConfig, tmp_path: Path
 ) -> None:
     page = tmp_path / "check.html"
-    check(drive[0], page, config, CheckOptions(shots=300, labels=drive[1]))
+    check(drive[0], page, config, CheckOptions(shots=150, labels=drive[1]))
     answers = answered(page, drive[2], tmp_path / "a.json")
     accuracy = evaluate_answers(drive[1], [answers]).scores["accuracy"]
     seen = drive[2][drive[2] != Label.MISSING]
     codes = np.load(drive[1])[drive[2].ravel() != Label.MISSING]
     right = (codes == ClassCodes().lookup()[seen]) & (seen != Label.UNCLASSIFIED)
     assert accuracy.low < right.mean() < accuracy.high
-    assert accuracy.high - accuracy.low < 0.1
+    assert accuracy.high - accuracy.low < 0.15
     with pytest.raises(InputError, match=r"answers about labels.npy, expected drive.npz"):
         evaluate_answers(drive[0], [answers])
 

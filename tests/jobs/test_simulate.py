@@ -12,7 +12,6 @@ import pytest
 
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.blocks import join
-from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.jobs.classify import open_stream
@@ -91,25 +90,6 @@ def test_a_frame_that_is_none_is_refused_by_the_name_of_its_file(
 
 
 @pytest.mark.slow
-def test_the_forest_lists_its_trees_and_knows_two_references(tmp_path: Path) -> None:
-    settings = small("forest", sight_m=20.0)
-    simulate("forest", tmp_path / "a.npz", settings, beside=Beside(stems=tmp_path / "stems.csv"))
-    simulate("forest", tmp_path / "b.npz", settings, reference="cylinders")
-    with np.load(tmp_path / "a.npz") as truth, np.load(tmp_path / "b.npz") as cylinders:
-        assert same(truth["range_m"], cylinders["range_m"])
-        stem = ClassCodes().stem
-        ground = ClassCodes().ground
-        assert (truth["class"] == stem).any()
-        assert set(np.unique(cylinders["class"])) <= {0, stem, ground, ClassCodes().noise}
-        # most of what is a low stem lies in a cylinder, but cylinders hold other things too
-        assert (cylinders["class"] == stem).any()
-        assert not same(truth["class"], cylinders["class"])
-    rows = (tmp_path / "stems.csv").read_text().splitlines()
-    assert rows[0].startswith("species,x_m,y_m,z_m,dbh_m")
-    assert 100 < len(rows) == len(set(rows))
-
-
-@pytest.mark.slow
 def test_memory_does_not_grow_with_the_length(tmp_path: Path) -> None:
     def peak(lines: int) -> int:
         settings = small("street", lines=lines, trajectory={"stop_every_m": 0.0, "speed_m_s": 1.0})
@@ -120,7 +100,7 @@ def test_memory_does_not_grow_with_the_length(tmp_path: Path) -> None:
         return peak_bytes
 
     peak(LINES)
-    assert peak(20 * LINES) < 1.5 * peak(5 * LINES)
+    assert peak(12 * LINES) < 1.5 * peak(4 * LINES)
 
 
 @pytest.mark.parametrize(

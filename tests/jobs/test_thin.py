@@ -171,6 +171,7 @@ def test_several_scanners_and_returns(tmp_path: Path, suffix: str) -> None:
             "unknown class 'xyzzy'; known classes: unclassified, noise, ground",
         ),
         ({"keep": ["vegitation=0"]}, "did you mean 'vegetation'?"),
+        ({"keep": ["2147483648=0"]}, "unknown class '2147483648'"),
         ({"keep": ["ground=5/4"]}, "found 'ground=5/4', expected a fraction from 0 to 1"),
         ({"keep": ["ground=-1/4"]}, "expected a fraction from 0 to 1"),
         ({"keep": ["ground=1/0"]}, "expected a fraction from 0 to 1"),

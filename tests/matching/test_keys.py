@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prc_cli.core.errors import InputError
@@ -73,22 +73,29 @@ def by_hand(left: Columns, right: Columns, tolerance: float) -> set[tuple[int, i
     return pairs
 
 
-@given(data=st.data(), n=st.integers(0, 30), m=st.integers(0, 30), seed=st.integers(0, 99))
+@given(
+    data=st.data(),
+    n=st.integers(0, 30),
+    m=st.integers(0, 30),
+    tolerance=st.sampled_from([0.0, 0.1, 0.3, 1.0, 5.0]),
+    has_codes=st.booleans(),
+    seed=st.integers(0, 99),
+)
+@settings(max_examples=50)
 def test_keys_return_numbers_and_classes(
-    data: st.DataObject,
-    n: int,
-    m: int,
-    seed: int,
+    data: st.DataObject, n: int, m: int, tolerance: float, has_codes: bool, seed: int
 ) -> None:
     sides = []
     for k in (n, m):
-        key = data.draw(st.lists(st.integers(0, 8).map(float), min_size=k, max_size=k))
-        sides.append(keyed(key, data.draw(st.lists(st.integers(1, 3), min_size=k, max_size=k))))
-        sides[-1][CODE] = np.array(
-            data.draw(st.lists(st.sampled_from([2, 2, 2, 6]), min_size=k, max_size=k)), int
-        )
-    pairs = join_by_key(cut(sides[0], seed), cut(sides[1], seed + 1), 0.1, JoinTally())
-    assert pairs_of(pairs) == by_hand(sides[0], sides[1], 0.1)
+        key = data.draw(st.lists(st.integers(0, 16), min_size=k, max_size=k))
+        returns = data.draw(st.lists(st.integers(1, 3), min_size=k, max_size=k))
+        sides.append(keyed([value / 4 for value in key], returns))
+        if has_codes:
+            codes = data.draw(st.lists(st.sampled_from([2, 2, 2, 6]), min_size=k, max_size=k))
+            sides[-1][CODE] = np.array(codes, int)
+    tally = JoinTally()
+    pairs = pairs_of(join_by_key(cut(sides[0], seed), cut(sides[1], seed + 1), tolerance, tally))
+    assert pairs == by_hand(sides[0], sides[1], tolerance)
 
 
 def chunked(
