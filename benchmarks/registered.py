@@ -32,6 +32,7 @@ FEWEST = 20_000
 """Points of a tile at least."""
 KINDS = {"noise": 7, "ground": 2, "building": 6, "vegetation": 5, "car": 65, "pole": 69, "stem": 64}
 CURB = 66
+POINTS = ("--range", "points")
 LEAST_COUNTED = 500
 """Points that a class needs in the reference to be in the average."""
 FIELD = " ".join(
@@ -176,12 +177,10 @@ def in_tiles(cloud: Cloud) -> list[I64]:
 def row_of(name: str, cloud: Cloud, index: I64, folder: Path) -> list[object]:
     """Return a row: what the labels of the points lose beside those of the raw stream."""
     cloud.write(folder / "points.laz", index)
-    points_only = ("--range", "points")
-    done, codes = labels_of("points.laz", folder, *points_only)
+    done, codes = labels_of("points.laz", folder, *POINTS)
     path = folder / "path.csv"
     path.unlink(missing_ok=True)
-    words = (*points_only, "--path", path, "--overwrite")
-    run("info", folder / "points.laz", *words, check=False)
+    run("info", folder / "points.laz", *POINTS, "--path", path, "--overwrite", check=False)
     raw = scores(cloud.raw_labels(index, folder), cloud.truth[index])
     points = scores(codes, cloud.truth[index]) if codes is not None else {}
     median_m, most_m = path_error(path, cloud.path)
@@ -202,11 +201,9 @@ def row_of(name: str, cloud: Cloud, index: I64, folder: Path) -> list[object]:
 
 def verdict(done: Done, lost: float) -> str:
     """Return right (at most .02 lost), doubted, refused, or silently wrong."""
-    if done.code not in (0, 4):
-        return (
-            f"refused: {', '.join(sorted(doubts_of(done))) or done.stderr.split(': ', 2)[-1][:60]}"
-        )
     doubts = ", ".join(sorted(doubts_of(done)))
+    if done.code not in (0, 4):
+        return f"refused: {doubts or done.stderr.split(': ', 2)[-1][:60]}"
     right = "right" if lost <= 0.02 else "wrong"
     return f"{right}, doubted: {doubts}" if doubts else right if right == "right" else "SILENT"
 
@@ -245,8 +242,7 @@ def real_rows(words: list[str], folder: Path) -> list[tuple[str, str]]:
     for name in REAL:
         if (DATA / name).exists() and (not words or any(word in name for word in words)):
             output = folder / "real.npy"
-            words_of = ("--range", "points", "--overwrite")
-            done = run("classify", DATA / name, output, *words_of, check=False)
+            done = run("classify", DATA / name, output, *POINTS, "--overwrite", check=False)
             output.unlink(missing_ok=True)
             rows.append((name, verdict(done, np.inf)))
     return rows

@@ -2,7 +2,8 @@
 
 ``python -m docs.pictures FOLDER`` runs the commands in FOLDER, opens the pages in chromium, and
 writes ``docs/images``. ``python -m docs.pictures FOLDER NAME...`` makes only the named pictures.
-It needs chromium with its driver. Files that are in FOLDER already are used again.
+It needs chromium with its driver. Files that are in FOLDER already are used again. Pages are drawn
+twice, for light and for dark pages of the manual (``NAME_dark``).
 """
 
 from __future__ import annotations
@@ -58,9 +59,11 @@ def save(picture: Image.Image, name: str, widest: int = WIDEST) -> None:
     small.save(IMAGES / f"{name}.png", optimize=True)
 
 
-def opened(browser: Browser, page: Path, width: int = 1200, height: int = 760) -> None:
+def opened(
+    browser: Browser, page: Path, width: int = 1200, height: int = 760, *, dark: bool = False
+) -> None:
     """Open a page of prc and wait until it is drawn."""
-    browser.open(page, width=width, height=height)
+    browser.open(page, width=width, height=height, dark=dark)
     browser.wait("document.readyState === 'complete'")
     browser.wait("!document.getElementById('colours') || document.body.dataset.ready")
     for _ in range(3):
@@ -72,6 +75,16 @@ def seen(browser: Browser, box: Box | None = None) -> Image.Image:
     browser.picture(Path("seen.png"))
     with Image.open("seen.png") as picture:
         return picture.convert("RGB").crop(box) if box else picture.convert("RGB")
+
+
+def save_seen(browser: Browser, name: str, box: Box | None = None) -> None:
+    """Write what the window shows, or a part of it, in light and in dark colours."""
+    for scheme, end in (("light", ""), ("dark", "_dark")):
+        feature = {"name": "prefers-color-scheme", "value": scheme}
+        browser.devtools("Emulation.setEmulatedMedia", features=[feature])
+        time.sleep(1)  # the page draws all points again
+        browser.settle()
+        save(seen(browser, box), f"{name}{end}")
 
 
 def box_of(browser: Browser, selector: str) -> Box:
@@ -103,7 +116,11 @@ def class_palette(more: Sequence[int] = ()) -> Image.Image:
     """Return a palette of greys, of every class colour in light and shadow, and of more."""
     shades = [(grey, grey, grey) for grey in range(24, 256, 11)] + [(234, 238, 241), PICKED]
     for colour in LABEL_COLOURS.values():
-        shades += [tuple(round(part * light) for part in colour) for light in (1, 0.85, 0.7)]
+        red, green, blue = colour
+        shades += [
+            (round(red * light), round(green * light), round(blue * light))
+            for light in (1, 0.85, 0.7)
+        ]
     palette = Image.new("P", (1, 1))
     palette.putpalette([*(part for shade in shades for part in shade), *more])
     return palette
@@ -111,7 +128,12 @@ def class_palette(more: Sequence[int] = ()) -> Image.Image:
 
 def moving(browser: Browser) -> None:
     """Draw the ranges of the demo in grey, then the classes from left to right, and turn."""
-    opened(browser, demo() / "street.html", 1200, 800)
+    for name, dark in (("demo", False), ("demo_dark", True)):
+        opened(browser, demo() / "street.html", 1200, 800, dark=dark)
+        save_moving(browser, name)
+
+
+def save_moving(browser: Browser, name: str) -> None:
     browser.run("for (const b of document.querySelectorAll('button[data-do]')) b.hidden = true")
     raw = coloured(browser, "range").convert("L").convert("RGB")
     views = [coloured(browser, "class")]
@@ -134,7 +156,7 @@ def moving(browser: Browser) -> None:
     durations = [HELD_MS, *[90] * (len(steps) - 2), HELD_MS, *[200] * (TURNS - 1), 2 * HELD_MS]
     steps += after[1:]
     steps[0].save(
-        IMAGES / "demo.gif",
+        IMAGES / f"{name}.gif",
         save_all=True,
         append_images=steps[1:],
         duration=durations,
@@ -145,7 +167,7 @@ def moving(browser: Browser) -> None:
 
 def readme(browser: Browser) -> None:
     opened(browser, demo() / "street.html", 1200, 760)
-    save(seen(browser), "readme")
+    save_seen(browser, "readme")
 
 
 def explain(browser: Browser) -> None:
@@ -161,18 +183,18 @@ def explain(browser: Browser) -> None:
     browser.run(f"location.hash = '#{line[place]},{column[place]}'")
     browser.settle()
     browser.settle()
-    save(seen(browser), "explain")
+    save_seen(browser, "explain")
 
 
 def check(browser: Browser) -> None:
     page = prc("check prc-demo/street.laz street_check.html --shots 100", "street_check.html")
     opened(browser, page, 1280, 760)
-    save(seen(browser), "check_page")
+    save_seen(browser, "check_page")
 
 
 def report(browser: Browser) -> None:
     opened(browser, demo() / "street_report.html", 1360, 1000)
-    save(seen(browser), "report")
+    save_seen(browser, "report")
 
 
 def car_cloud() -> Path:
@@ -203,7 +225,7 @@ def differences(browser: Browser) -> None:
         "if (places) places.scrollIntoView()"
     )
     browser.settle()
-    save(seen(browser), "differences")
+    save_seen(browser, "differences")
 
 
 def batch(browser: Browser) -> None:
@@ -216,7 +238,7 @@ def batch(browser: Browser) -> None:
         )
     prc("batch archive classified --reference archive", "classified/report.html")
     opened(browser, Path("classified/report.html"), 1200, 900)
-    save(seen(browser), "batch")
+    save_seen(browser, "batch")
 
 
 def top(_: Browser) -> None:
@@ -238,7 +260,7 @@ def thin(browser: Browser) -> None:
     prc(f"{words} --spacing ground=0.3", "thin.laz")
     page = prc("render thin.laz thin.html", "thin.html")
     opened(browser, page)
-    save(seen(browser, box_of(browser, "#cloud")), "thin")
+    save_seen(browser, "thin", box_of(browser, "#cloud"))
 
 
 def spinning(browser: Browser) -> None:
@@ -247,7 +269,7 @@ def spinning(browser: Browser) -> None:
     prc("classify spin.npz spin.laz --accept-doubt few-lines", "spin.laz")
     page = prc("render spin.laz spin.html", "spin.html")
     opened(browser, page)
-    save(seen(browser), "spinning")
+    save_seen(browser, "spinning")
 
 
 def wrong(_: Browser) -> None:
@@ -268,10 +290,33 @@ def wrong(_: Browser) -> None:
     save(both, "wrong_lines")
 
 
-def shrunk(name: str, widest: int, _: Browser) -> None:
-    """Write a picture again with a palette."""
-    with Image.open(IMAGES / f"{name}.png") as picture:
-        save(picture, name, widest)
+FOREST = "--set sight_m=22 " + " ".join(
+    f"--set scanner.{share}_share=0" for share in ("background", "sky", "bright_sky", "cluster")
+)
+"""A forest without the noise that would hide its stems."""
+
+
+def forest(browser: Browser) -> None:
+    prc(f"simulate forest wood.laz --length 20 --seed 1 {FOREST} -q", "wood.laz")
+    prc("classify wood.laz stems.laz --preset fused-forest", "stems.laz")
+    opened(browser, prc("render stems.laz stems.html", "stems.html"))
+    save_seen(browser, "sim_forest_view")
+
+
+def true_street(browser: Browser) -> None:
+    words = "--scanner profiler-1mhz --length 70 --seed 7 --set sight_m=70"
+    prc(f"simulate street cloud.laz {words} --set trajectory.stop_every_m=0 -q", "cloud.laz")
+    opened(browser, prc("render cloud.laz cloud.html --labels cloud.laz", "cloud.html"))
+    save_seen(browser, "sim_street_view")
+
+
+def drawn(name: str, widest: int, source: str, words: str, _: Browser) -> None:
+    """Draw a scan, which is simulated by a command or is a real one."""
+    words = words.format(data=os.environ.get("PRC_DATA", ""))
+    if source:
+        prc(f"{source} -q", source.split()[2])
+    with Image.open(prc(f"render {words} {name}.png", f"{name}.png")) as image:
+        save(image, name, widest)
 
 
 PICTURES: dict[str, Callable[[Browser], None]] = {
@@ -286,18 +331,37 @@ PICTURES: dict[str, Callable[[Browser], None]] = {
     "thin": thin,
     "spinning": spinning,
     "wrong_lines": wrong,
+    "sim_forest_view": forest,
+    "sim_street_view": true_street,
 }
-SHRUNK = {
-    "fused_forest_park": 800,
-    "sim_forest_view": 860,
-    "sim_static": WIDEST,
-    "sim_street_range": 1100,
-    "sim_street_view": WIDEST,
-    "static_scan": 1100,
-    "street": WIDEST,
+STATION = "simulate street-scan station.npz --seed 3 --set scanner.azimuth_step_deg=0.23"
+PRC_DRIVE = "simulate street drive.npz --length 10 --seed 7"
+DRAWN = {
+    "sim_street_range": (
+        1100,
+        "simulate street sim.laz --length 60 --seed 7 --set trajectory.stop_every_m=0",
+        "sim.laz --labels sim.laz --steps range,classes --only 0:300",
+    ),
+    "sim_static": (700, STATION, "station.npz --steps range,classes"),
+    "static_scan": (
+        700,
+        "simulate street-scan scan.npz --seed 6",
+        "scan.npz --preset street-scan --steps range,classes",
+    ),
+    "street": (
+        WIDEST,
+        PRC_DRIVE,
+        "drive.npz --preset prc-2019-urban --only 0:99 --steps "
+        "range,support,background,components,surfaces,classes",
+    ),
+    "fused_forest_park": (
+        800,
+        "",
+        "{data}/forest/tls_park.npz --preset fused-forest --steps range,classes",
+    ),
 }
-"""Pictures of long simulations and of real scans, whose commands are in design/."""
-PICTURES |= {name: partial(shrunk, name, widest) for name, widest in SHRUNK.items()}
+"""Name: width [pixels], the command that simulates the scan, the words that draw it."""
+PICTURES |= {name: partial(drawn, name, *words) for name, words in DRAWN.items()}
 
 
 def main() -> None:

@@ -36,6 +36,8 @@ def test_python_blocks_run(path: Path, tmp_path: Path, monkeypatch: pytest.Monke
     image = np.full((100, 2154), 12.0, np.float32)
     image.tofile("drive.bin")
     (tmp_path / "night.toml").write_text("[prc.surfaces]\ngamma = 1\n")
+    for name in ("true.csv", "found.csv"):
+        (tmp_path / name).write_text("kind,x,y\ncar,0,0\npole,9,0\ncar,5,0\n")
     import prc_cli
 
     np.savez("source.npz", range_m=street(), angle_deg=np.rad2deg(angles()))
