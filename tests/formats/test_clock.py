@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from prc_cli.formats.clock import PERIODS_S, with_clock
+from prc_cli.formats.records import Contents, watched_contents
 from tests.streams.record_lists import MemorySource
 
 
@@ -35,3 +36,13 @@ def test_large_times_are_in_the_unit_that_makes_them_seconds(unit: str, factor: 
     assert notes == (f"the times are in {unit} (input.time_unit)",)
     converted, _ = read_times(seconds * factor, unit)
     np.testing.assert_allclose(converted, seconds, atol=1e-3)
+
+
+def test_the_bounds_of_records_are_those_of_all_chunks() -> None:
+    values = {name: np.array([3.0, np.nan, 1.0, 2.0]) + k for k, name in enumerate("xyz")}
+    contents = Contents()
+    source = MemorySource({**values, "time": np.arange(5.0, 9.0)}, chunk_records=2)
+    for _ in watched_contents(source, contents):
+        pass
+    assert contents.bounds_m == {"x": (1.0, 3.0), "y": (2.0, 4.0), "z": (3.0, 5.0)}
+    assert contents.time_s == (5.0, 8.0)

@@ -93,6 +93,9 @@ def test_what_is_no_pose_is_refused(tmp_path: Path) -> None:
         path.write_text(tum(path, rows).read_text() + text)
         with pytest.raises(InputError, match=expected):
             load_trajectory(path, **HEAD)  # type: ignore[arg-type]
+    long = _written(tmp_path / "long.csv", "time,x,y,z\n" + "1" * 200_000)
+    with pytest.raises(InputError, match="line 2: row of more than"):
+        load_trajectory(long, **HEAD)  # type: ignore[arg-type]
     assert not is_tum(_written(tmp_path / "b.csv", "time x y z a b c d\n1 2 3 4 5 6 7 8\n"))
     assert not is_tum(_written(tmp_path / "c.csv", "\n# nothing\n"))
     two = made.write_db3(tmp_path / "two.db3", [*odometry(rows), *odometry(rows, topic="/x")])

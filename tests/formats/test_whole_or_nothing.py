@@ -14,6 +14,8 @@ import pytest
 
 from prc_cli.core.errors import OutputError, OutputExistsError
 from prc_cli.formats.las.laz import Target
+from prc_cli.formats.outputs import prepare_label_outputs
+from prc_cli.formats.registry import is_cloud
 from prc_cli.formats.writing.columns import OutputConfig
 from tests import patience
 from tests.formats.common import random_labels, record_blocks, run_record, write, writer
@@ -142,3 +144,12 @@ def test_a_file_that_appears_while_labels_are_written_stays(tmp_path: Path, late
         (tmp_path / late).write_bytes(b"theirs")
         opened.finish(run_record())
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"theirs"]
+
+
+@pytest.mark.parametrize("name", ["a.npy", "a.npy.prc.json"])
+def test_what_is_there_is_noticed_before_the_run(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(b"theirs")
+    with pytest.raises(OutputExistsError):
+        prepare_label_outputs(tmp_path / "a.npy", overwrite=False)
+    assert not is_cloud(tmp_path / "a.npy")
+    assert is_cloud(tmp_path / "a.laz")

@@ -329,3 +329,13 @@ def test_lines_without_coordinates_lie_apart_and_it_is_told(tmp_path: Path) -> N
     start = "the input has no coordinates; nor angles: scan planes lie flat"
     assert any(notice.startswith(start) for notice in record.notices)
     assert len(np.unique(laspy.read(tmp_path / "a.las").z)) == N // 20
+
+
+def test_degrees_are_written_in_fine_steps(tmp_path: Path) -> None:
+    degrees = np.random.default_rng(1).uniform((25, 60, 0), (25.001, 60.001, 9), (25, 20, 3))
+    labels = np.full((25, 20), Label.GROUND, np.uint8)
+    block = labelled(labels, xyz_m=degrees.astype(np.float32))
+    record = write(tmp_path / "a.las", Path("drive.bin"), [block])
+    written = laspy.read(tmp_path / "a.las").xyz
+    np.testing.assert_allclose(written, degrees.reshape(-1, 3), atol=5e-4)
+    assert any(notice.startswith("x and y are degrees") for notice in record.notices)

@@ -140,6 +140,7 @@ def test_ouster_columns_are_destaggered_in_angle_not_in_time(tmp_path: Path, pro
         ({"udp_profile_lidar": ["NEW"]}, "udp_profile_lidar: found .'NEW'., expected one of"),
         ({"udp_profile_lidar": "NEW"}, "udp_profile_lidar: found NEW, expected one of LEGACY"),
         ({"columns_per_packet": 8}, "no packets of a known scanner: 16 of 1024 bytes to port 7502"),
+        ({"lidar_origin_to_beam_origin_mm": 1000}, "found 1000, expected millimetres"),
         ({"columns_per_frame": "x"}, "found x, expected a whole number from 1 to 4096"),
     ],
 )
@@ -147,7 +148,8 @@ def test_metadata_that_do_not_fit_are_refused(
     tmp_path: Path, changes: dict[str, Any], message: str
 ) -> None:
     table, packets = made.ouster()
-    table["data_format"] |= changes
+    for part in (table, table["data_format"]):
+        part.update({name: value for name, value in changes.items() if name in part})
     path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets, 7502))
     path.with_suffix(".json").write_text(json.dumps(table))
     with pytest.raises(InputError, match=message):
