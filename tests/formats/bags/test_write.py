@@ -43,10 +43,10 @@ def test_times_that_no_message_can_have_are_refused(
     tmp_path: Path, suffix: str, value: float
 ) -> None:
     source = tmp_path / "in.npz"
-    simulate("street", source, load_settings("street", options={**WALK, "lines": 30}))
-    arrays = dict(np.load(source))
-    arrays["time_s"][7] = value
-    np.savez(source, **arrays)
+    times = np.arange(6.0)
+    times[3] = value
+    ranges = np.full((6, 300), 5.0, "f4")
+    np.savez(source, range_m=ranges, angle_rad=np.linspace(-1.0, 1.0, 300), time_s=times)
     with pytest.raises(PrcError):
         convert(source, tmp_path / f"o{suffix}", load_config(options={"input": {"order": "trust"}}))
     assert [path.name for path in tmp_path.iterdir() if not path.name.startswith("in.")] == []
