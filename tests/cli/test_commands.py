@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from prc_cli.cli import report
 from prc_cli.cli.next_step import output_for
+from prc_cli.cli.output import print_facts
 from prc_cli.config import load_config
 from prc_cli.core.classes import Label
 from prc_cli.jobs.classify import classify
@@ -512,6 +513,11 @@ def test_a_missing_choice_is_listed_in_one_line(prc: Prc, command: tuple[str, ..
     assert result.code == 2
     assert re.search(r"needs \{\w+\|[\w-]+\|[\w-]+\}; see prc", result.err)
     assert "\\n" not in result.err
+
+
+def test_long_words_are_whole(capsys: pytest.CaptureFixture[str]) -> None:
+    print_facts([("file", "x" * 1000)])
+    assert capsys.readouterr().out.count("x") == 1000
 
 
 def test_names_of_scanners_are_whole_in_a_narrow_terminal() -> None:

@@ -172,25 +172,18 @@ TOLERANCES = {"line_angles": 2e-5, "signed_angles": 2e-5}
 
 
 @pytest.mark.parametrize("name", sorted(CASES))
-def test_loop_equals_its_twin(name: str) -> None:
-    compare_random(name, 20190, LEAST)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", sorted(CASES))
-def test_loop_equals_its_twin_in_many_cases(name: str) -> None:
-    compare_random(name, 9, MOST)
+@pytest.mark.parametrize(
+    ("seed", "n_cases"), [(20190, LEAST), pytest.param(9, MOST, marks=pytest.mark.long)]
+)
+def test_loop_equals_its_twin(name: str, seed: int, n_cases: int) -> None:
+    compare_random(name, seed, n_cases)
 
 
 @pytest.mark.parametrize("name", RECORDED)
-def test_loop_equals_its_twin_in_scans(name: str) -> None:
-    compare_recorded(name, 1)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("seed", range(2, 8))
-@pytest.mark.parametrize("name", RECORDED)
-def test_loop_equals_its_twin_in_many_scans(name: str, seed: int) -> None:
+@pytest.mark.parametrize(
+    "seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 8))]
+)
+def test_loop_equals_its_twin_in_scans(name: str, seed: int) -> None:
     compare_recorded(name, seed)
 
 

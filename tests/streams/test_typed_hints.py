@@ -181,7 +181,7 @@ def typed_by(said: str) -> list[list[str]]:
     ]
 
 
-@pytest.mark.parametrize("suffix", list(WRITERS))
+@pytest.mark.parametrize("suffix", [".las", ".csv", pytest.param(".ply", marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", list(FAULTS))
 def test_a_hint_leads_on_when_typed(
     name: str, suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

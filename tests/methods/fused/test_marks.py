@@ -21,12 +21,12 @@ LEAVES = SpacingThresholds(np.float32(0.125), np.float32(0.0), np.float32(1.0))
         ([0.5, -0.5, 0.5, -0.5, 0.5, -0.5], 3),  # all shots but two at either end
         ([0.5, -0.5, 0.5, -0.5], 1),
         ([0.5, -0.5, 0.5], 0),  # a ledge
-        ([0.125, -0.5, 0.125, -0.5, 0.125, -0.5], 0),  # the shot before is on the same surface
-        ([0.1875, -0.5, 0.1875, -0.5, 0.1875, -0.5], 3),
+        ([0.125, -0.5, 0.5, -0.5, 0.5, -0.5], 2),  # the shot before is on the same surface
+        ([0.1875, -0.5, 0.5, -0.5, 0.5, -0.5], 3),
         ([0.25, 0.375, 0.25, 0.375, 0.25, 0.375], 0),  # a slope
         ([0.25, 0.4375, 0.25, 0.4375, 0.25, 0.4375], 3),
-        ([1.0, -0.5, 1.0, -0.5, 1.0, -0.5], 0),  # an edge of something else
-        ([0.9375, -0.5, 0.9375, -0.5, 0.9375, -0.5], 3),
+        ([1.0, -0.5, 0.5, -0.5, 0.5, -0.5], 2),  # the shot before is on something else
+        ([0.9375, -0.5, 0.5, -0.5, 0.5, -0.5], 3),
     ],
 )
 @pytest.mark.parametrize("turned", [False, True])

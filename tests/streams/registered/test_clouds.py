@@ -58,10 +58,13 @@ def times_of_rows(time_s: F64, xyz_m: F64) -> tuple[F64, F64]:
     return np.arange(len(rows)) * 1e-5, xyz_m[rows]
 
 
-SLOW = [pytest.param(spoil, marks=pytest.mark.slow) for spoil in (one_plane, centimetres)]
+SLOW = [
+    pytest.param(spoil, marks=pytest.mark.slow)
+    for spoil in (anywhere, times_of_rows, one_plane, centimetres)
+]
 
 
-@pytest.mark.parametrize("spoil", [anywhere, coarse_times, times_of_rows, *SLOW])
+@pytest.mark.parametrize("spoil", [coarse_times, *SLOW])
 def test_what_cannot_be_right_is_refused(
     tmp_path: Path, spoil: Callable[[F64, F64], tuple[F64, F64]]
 ) -> None:

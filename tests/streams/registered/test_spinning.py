@@ -39,7 +39,14 @@ def head(name: str) -> SpinningHead | NoScan:
     return find_head(cloud(name).time_s, cloud(name).xyz_m)
 
 
-@pytest.mark.parametrize("name", HEADS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("even rings", marks=pytest.mark.slow),
+        "tilted, turning right",
+        pytest.param("rings that look ahead", marks=pytest.mark.slow),
+    ],
+)
 def test_every_point_gets_its_ring_line_and_range(name: str) -> None:
     points = cloud(name)
     spinning = head(name)
