@@ -35,9 +35,9 @@ CURB = 66
 POINTS = ("--range", "points")
 LEAST_COUNTED = 500
 """Points that a class needs in the reference to be in the average."""
-FIELD = " ".join(
-    f"--set scene.{setting}"
-    for setting in ("setback_m=25", "trees=0", "parked=0", "people=0", "cars_per_km=0")
+FIELD = (
+    "--set scene.setback_m=25 --set scene.trees=0 --set scene.parked=0 --set scene.people=0 "
+    "--set scene.cars_per_km=0"
 )
 DRIVES = {
     "photon": "street --scanner photon-80 --duration 12 --seed 5101",
@@ -138,8 +138,8 @@ def labels_of(name: str, folder: Path, *options: str) -> tuple[Done, U8 | None]:
 
 def doubts_of(done: Done) -> set[str]:
     """Return the names of the checks in warnings and errors."""
-    named = re.findall(r"^warning: ([a-z][a-z-]+):", done.stderr, re.MULTILINE)
-    return {*named, *re.findall(r"--accept-doubt ([a-z-]+)", done.stderr)}
+    pattern = r"(?:^warning: |--accept-doubt )([a-z-]+)"
+    return set(re.findall(pattern, done.stderr, re.MULTILINE))
 
 
 def scores(codes: U8, truth: U8) -> dict[str, float]:
@@ -147,9 +147,10 @@ def scores(codes: U8, truth: U8) -> dict[str, float]:
     codes, truth = (np.where(side == CURB, KINDS["ground"], side) for side in (codes, truth))
     f1 = {}
     for name, code in KINDS.items():
-        n = np.count_nonzero(truth == code) + np.count_nonzero(codes == code)
-        if np.count_nonzero(truth == code) >= LEAST_COUNTED:
-            f1[name] = 2.0 * np.count_nonzero((truth == code) & (codes == code)) / n
+        is_true = truth == code
+        is_named = codes == code
+        if is_true.sum() >= LEAST_COUNTED:
+            f1[name] = 2.0 * (is_true & is_named).sum() / (is_true.sum() + is_named.sum())
     f1["macro"] = float(np.mean(list(f1.values()))) if f1 else np.nan
     return f1
 
