@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import io
 import os
 import sys
 import time
@@ -162,19 +161,6 @@ def test_a_process_that_was_given_the_number_of_a_dead_one_is_not_the_writer(
     long_ago = time.time() - 400 - float(Path("/proc/uptime").read_text().split()[0])
     os.utime(part, (long_ago, long_ago))
     assert is_left_behind(part) is True
-
-
-def test_to_begin_a_flush_changes_nothing_and_never_fails(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with (tmp_path / "a").open("w+b") as handle:
-        handle.write(b"abc")
-        files.begin_flush(handle, 0, 3)
-        monkeypatch.delattr(os, "posix_fadvise", raising=False)
-        files.begin_flush(handle, 0, 3)
-    monkeypatch.undo()
-    files.begin_flush(io.BytesIO(b"abc"), 0, 3)
-    assert (tmp_path / "a").read_bytes() == b"abc"
 
 
 def test_an_output_onto_a_device_or_a_pipe_is_refused() -> None:
