@@ -152,7 +152,7 @@ def _is_in_run(
     return bool(is_counted & (abs(ranges[j] - ranges[i]) < thresholds.jump_m))
 
 
-@helper
+@inlined
 def _last_of_run(
     ranges: F32, near: U8, above: F32, i: int, way: int, marks: U8, thresholds: ColumnThresholds
 ) -> int:
@@ -247,7 +247,7 @@ def _is_fence(window_m: F32, line: int, i: int) -> bool:
     return n >= FENCE_SEEN
 
 
-@helper
+@inlined
 def _kind_of_run(
     window_m: F32,
     line: int,
@@ -267,22 +267,31 @@ def _kind_of_run(
     which may be something small, then those that lines on both sides see far past (FREE), which
     may be a trunk or post.
     """
-    n_free = n_thin = n_few = n_far = 0
+    n_free = n_few = n_far = 0
+    for j in range(first, end):
+        n_free += int(marks[j] & FREE != 0)
+        n_few += int(marks[j] & NARROW != 0)
+        n_far += int(marks[j] == FREE | NARROW)
+    n_shots = np.float32(end - first)
+    is_few = np.float32(n_few) >= max(thresholds.shots, thresholds.small_share * n_shots)
+    is_free = np.float32(n_free) >= max(thresholds.shots, thresholds.share * n_shots)
+    is_far = np.float32(n_far) >= MAST_SHARE * n_shots
+    # most runs end here
+    if not (is_few or is_free or is_far):
+        return np.uint8(0)
+    n_thin = 0
     head = first
     top = thresholds.high_m
     low = inner = few_low = few_inner = np.float32(np.inf)
     high = outer = few_high = few_outer = -low
     for j in range(first, end):
         if marks[j] & FREE != 0:
-            n_free += 1
             n_thin += int(_lines_of_object(before[j], after[j]) <= thresholds.thin_lines)
             inner = min(inner, abs(side[j]))
             outer = max(outer, abs(side[j]))
             low = min(low, above[j])
             high = max(high, above[j])
         if marks[j] & NARROW != 0:
-            n_few += 1
-            n_far += int(marks[j] & FREE != 0)
             head = j if above[j] > few_high else head
             few_inner = min(few_inner, abs(side[j]))
             few_outer = max(few_outer, abs(side[j]))
@@ -290,22 +299,18 @@ def _kind_of_run(
             few_high = max(few_high, above[j])
     deep = few_outer - few_inner
     tall = few_high - few_low
-    is_few = np.float32(n_few) >= max(
-        thresholds.shots, thresholds.small_share * np.float32(end - first)
-    )
     if is_few and few_high < top and deep <= thresholds.small_m:
         is_upwards = beams.cosine[max(head - 1, 0)] > beams.cosine[min(head + 1, len(side) - 1)]
         up = 1 if is_upwards else -1
         climbed = few_high + _climb(window_m, line, head, up, beams, top)
-        is_far = np.float32(n_far) >= thresholds.small_share * np.float32(n_few)
+        is_seen_past = np.float32(n_far) >= thresholds.small_share * np.float32(n_few)
         is_person = climbed > thresholds.person_m and (
             few_low <= CHEST_M or tall > thresholds.post_tall_m
         )
-        if climbed < top and (is_person or is_far):
+        if climbed < top and (is_person or is_seen_past):
             is_post = tall > thresholds.post_tall_m or climbed < thresholds.post_top_m
-            is_post = is_post and is_far and deep < thresholds.post_m
+            is_post = is_post and is_seen_past and deep < thresholds.post_m
             return POST if is_post else SMALL
-    is_far = np.float32(n_far) >= MAST_SHARE * np.float32(end - first)
     if is_far and tall >= thresholds.mast_m and deep < MAST_SLOPE * tall:
         # a mast ends before the sky or far things, a trunk in its crown
         last, way = (end - 1, 1) if above[end - 1] > above[first] else (first, -1)
@@ -318,9 +323,9 @@ def _kind_of_run(
             return MAST
     deep = outer - inner
     tall = high - low
-    if np.float32(n_free) < max(thresholds.shots, thresholds.share * np.float32(end - first)):
+    if not is_free or deep > thresholds.deep_m or low > thresholds.low_m:
         return np.uint8(0)
-    if deep > thresholds.deep_m or low > thresholds.low_m or tall < thresholds.tall_m or high < top:
+    if tall < thresholds.tall_m or high < top:
         return np.uint8(0)
     if 2 * n_thin > n_free:
         return POST
@@ -337,6 +342,23 @@ def _kind_of_run(
             n_sampled += 1
         k += 1
     return POST if 2 * n_round > n_sampled else np.uint8(0)
+
+
+@inlined
+def _is_piece(ranges: F32, above: F32, first: int, end: int, thresholds: ColumnThresholds) -> bool:
+    """Whether a run is short, with nothing or only far things beyond both ends."""
+    is_free = first == 0 or not (ranges[first - 1] <= ranges[first] + thresholds.far_m)
+    is_free &= end == len(above) or not (ranges[end] <= ranges[end - 1] + thresholds.far_m)
+    if not is_free:
+        return False
+    low = high = above[first]
+    for j in range(first, end):
+        # shots that miss the thing have no height
+        if above[j] != above[j]:
+            return False
+        low = min(low, above[j])
+        high = max(high, above[j])
+    return bool(high - low < thresholds.tall_m)
 
 
 @loop()
@@ -400,14 +422,10 @@ def find_columns(
                 beams,
                 thresholds,
             )
-            # a piece is short, with nothing or only far things beyond both ends
-            is_piece = False
-            if kind == 0:
-                tall = above[first:end].max() - above[first:end].min()
-                is_free = first == 0 or not (ranges[first - 1] <= ranges[first] + thresholds.far_m)
-                is_free &= end == m or not (ranges[end] <= ranges[end - 1] + thresholds.far_m)
-                is_piece = is_free and tall < thresholds.tall_m
+            is_piece = kind == 0 and _is_piece(ranges, above, first, end, thresholds)
             for j in range(first, end):
+                if marks[j] & FREE == 0 and (kind < MAST or marks[j] == GAP):
+                    continue
                 n_seen = _lines_of_object(lines[j], after[line, j])
                 kind_of_shot = kind
                 if kind == 0 and n_seen <= thresholds.piece_lines:
@@ -417,14 +435,13 @@ def find_columns(
                         kind_of_shot = SHORT
                     if kind_of_shot != 0 and np.float32(end - first) < thresholds.shots:
                         kind_of_shot = FEW_SHOTS
-                if marks[j] & FREE != 0 or (kind >= MAST and marks[j] != GAP):
-                    is_fence = (
-                        kind != 0
-                        and kind != MAST
-                        and above[j] < thresholds.high_m
-                        and _is_fence(window_m, k, j)
-                    )
-                    kinds[line, j] = FENCE if is_fence else kind_of_shot
+                is_fence = (
+                    kind != 0
+                    and kind != MAST
+                    and above[j] < thresholds.high_m
+                    and _is_fence(window_m, k, j)
+                )
+                kinds[line, j] = FENCE if is_fence else kind_of_shot
     return kinds
 
 
