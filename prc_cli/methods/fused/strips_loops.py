@@ -120,17 +120,19 @@ def _mark_free(
     above: F32,
     near: U8,
     thresholds: ColumnThresholds,
+    counted: U8,
     marks: U8,
 ) -> None:
+    for i in range(len(marks)):
+        counted[i] = (np.float32(near[i]) >= thresholds.least_near) & (above[i] > thresholds.foot_m)
     most = np.int32(thresholds.lines) + np.int32(1)
     few = np.int32(thresholds.small_lines) + np.int32(1)
     for i in range(len(marks)):
         # both counts contain the line itself
         n = np.int32(before[i] & COUNT) + np.int32(after[i] & COUNT)
-        is_counted = (np.float32(near[i]) >= thresholds.least_near) & (above[i] > thresholds.foot_m)
         is_free = (n <= most) & ((before[i] | after[i]) < CLOSE)
         is_narrow = n <= few
-        marks[i] = is_counted * (is_free * FREE + is_narrow * NARROW)
+        marks[i] = counted[i] * (is_free * FREE + is_narrow * NARROW)
 
 
 @inlined
@@ -138,30 +140,36 @@ def _lines_of_object(before: np.uint8, after: np.uint8) -> np.float32:
     return np.float32(before & COUNT) + np.float32(after & COUNT) - np.float32(1)
 
 
-@inlined
-def _is_in_run(
-    ranges: F32,
-    near: U8,
-    above: F32,
-    i: int,
-    j: int,
-    thresholds: ColumnThresholds,
-) -> bool:
-    """Whether the shot ``j`` is in the run of the adjacent shot ``i``."""
-    is_counted = (np.float32(near[j]) >= thresholds.least_near) & (above[j] > thresholds.foot_m)
-    return bool(is_counted & (abs(ranges[j] - ranges[i]) < thresholds.jump_m))
+@helper
+def _mark_joins(ranges: F32, counted: U8, jump: np.float32, joins: U8) -> None:
+    """Mark the shots that are on one thing with the shot before them."""
+    joins[0] = 0
+    joined = joins[1:]
+    next_m = ranges[1:]
+    next_counted = counted[1:]
+    for i in range(len(joined)):
+        is_near = np.uint8(abs(next_m[i] - ranges[i]) < jump)
+        joined[i] = is_near & counted[i] & next_counted[i]
 
 
 @inlined
 def _last_of_run(
-    ranges: F32, near: U8, above: F32, i: int, way: int, marks: U8, thresholds: ColumnThresholds
+    ranges: F32,
+    counted: U8,
+    joins: U8,
+    i: int,
+    way: int,
+    marks: U8,
+    thresholds: ColumnThresholds,
 ) -> int:
     """Follow a run to one side, over single shots that miss the thing; mark these."""
     j = i + way
-    while 0 <= j < len(ranges) and np.float32(abs(j - i)) <= thresholds.reach:
-        if _is_in_run(ranges, near, above, i, j, thresholds):
-            if j - way != i:
-                marks[j - way] = GAP
+    reach = int(thresholds.reach)
+    while 0 <= j < len(ranges) and abs(j - i) <= reach:
+        if j - way == i and joins[max(j, i)] != 0:
+            i = j
+        elif j - way != i and counted[j] != 0 and abs(ranges[j] - ranges[i]) < thresholds.jump_m:
+            marks[j - way] = GAP
             i = j
         elif ranges[j] <= ranges[i] + thresholds.far_m:
             break
@@ -388,6 +396,8 @@ def find_columns(
             for i in range(m):
                 after[k - margin, i] = lines[i]
     kinds = np.zeros((n_lines, m), np.uint8)
+    counted = np.empty(m, np.uint8)
+    joins = np.empty(m, np.uint8)
     marks = np.empty(m, np.uint8)
     side = np.empty(m, np.float32)
     for i in range(m):
@@ -400,15 +410,16 @@ def find_columns(
         ranges = window_m[k]
         above = above_m[line]
         near = neighbours.near[line]
-        _mark_free(lines, after[line], above, near, thresholds, marks)
+        _mark_free(lines, after[line], above, near, thresholds, counted, marks)
+        _mark_joins(ranges, counted, jump, joins)
         for i in range(m):
             side[i] = ranges[i] * beams.sine[i]
         end = 0
         for i in range(m):
             if marks[i] == 0 or i < end:
                 continue
-            first = _last_of_run(ranges, near, above, i, -1, marks, thresholds)
-            end = _last_of_run(ranges, near, above, i, 1, marks, thresholds) + 1
+            first = _last_of_run(ranges, counted, joins, i, -1, marks, thresholds)
+            end = _last_of_run(ranges, counted, joins, i, 1, marks, thresholds) + 1
             kind = _kind_of_run(
                 window_m,
                 k,
