@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from prc_cli.core.classes import Reason
 from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_2, I32, U8, U8_2, U64, Mask, Mask_2
+from prc_cli.methods.fused.lists_loops import list_few
 from prc_cli.methods.fused.records import (
     FENCE,
     FEW_SHOTS,
@@ -579,8 +580,16 @@ def _round_run(
         and abs(range_m[first - 1] - range_m[first]) < jump_m
     ):
         first -= 1
-    deep_m = side_m[first:end].max() - side_m[first:end].min()
-    tall_m = height_m[first:end].max() - height_m[first:end].min()
+    # step by step, because array reductions take half a second to compile
+    left_m = right_m = side_m[first]
+    low_m = high_m = height_m[first]
+    for j in range(first + 1, end):
+        left_m = min(left_m, side_m[j])
+        right_m = max(right_m, side_m[j])
+        low_m = min(low_m, height_m[j])
+        high_m = max(high_m, height_m[j])
+    deep_m = right_m - left_m
+    tall_m = high_m - low_m
     is_round = (deep_m >= limits.thick_m) & (deep_m < np.float32(0.5) * tall_m)
     return end, bool(is_round & (tall_m < np.float32(2.0) * limits.pole_m))
 
@@ -883,9 +892,9 @@ def fused_labels(
         _label_noise_and_ground(line, beside, thresholds, around, rules)
 
         _mark_tops(line, rules, thresholds, around, marks)
-        n_shots = _list_shots(marks, shots)
+        n_shots = list_few(marks, shots)
         _look_for_boxes(shots[:n_shots], window_m, row, line, rules, thresholds, around)
-        n_shots = _list_shots(around.is_upright, shots)
+        n_shots = list_few(around.is_upright, shots)
         _look_at_uprights(
             shots[:n_shots], window_m, row, line, beside.bin, rough_slots, thresholds, around
         )

@@ -10,6 +10,7 @@ import numpy as np
 from prc_cli.core.classes import Label
 from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_2, I32, U8, U8_2
+from prc_cli.methods.fused.lists_loops import list_few
 from prc_cli.methods.fused.records import Beams
 from prc_cli.methods.fused.thresholds import CurbThresholds
 
@@ -184,12 +185,8 @@ def curb_labels(
             low,
             climbs,
         )
-        n = 0
-        for i in range(m):
-            shots[n] = i
-            n += climbs[i]
         first = last = -1
-        for k in range(n):
+        for k in range(list_few(climbs, shots)):
             i = int(shots[k])
             if i > last:
                 first, last = _ends_of_ground(i, low)

@@ -6,7 +6,8 @@ import numpy as np
 
 from prc_cli.core.classes import Label
 from prc_cli.core.loops import helper, inlined, loop
-from prc_cli.core.types import F32, F32_2, I32, U8, U8_2
+from prc_cli.core.types import F32, F32_2, U8, U8_2
+from prc_cli.methods.fused.lists_loops import list_few
 from prc_cli.methods.fused.thresholds import LateLeafThresholds
 
 COLUMNS = 8
@@ -17,15 +18,12 @@ _LEAVES = int(Label.VEGETATION)
 
 
 @helper
-def _list_noise(
-    labels: U8, ranges: F32, above: F32, far_m: np.float32, foot_m: np.float32, shots: I32
-) -> int:
-    """List the noise of a line that is far and above the ground, return how many shots it is."""
-    n = 0
+def _mark_noise(
+    labels: U8, ranges: F32, above: F32, far_m: np.float32, foot_m: np.float32, marks: U8
+) -> None:
+    """Mark the noise of a line that is far and above the ground."""
     for i in range(len(labels)):
-        shots[n] = i
-        n += (labels[i] == _NOISE) & (ranges[i] >= far_m) & (above[i] > foot_m)
-    return n
+        marks[i] = np.uint8((labels[i] == _NOISE) & (ranges[i] >= far_m) & (above[i] > foot_m))
 
 
 @inlined
@@ -57,13 +55,14 @@ def leaves_amid_noise(
     """
     n_lines, m = voted.shape
     later = voted.copy()
+    marks = np.empty(m, np.uint8)
     shots = np.empty(m + 1, np.int32)
     far_m = thresholds.apart_m / step
     foot_m = thresholds.foot_m
     for line in range(n_lines):
         ranges = range_m[line + BESIDE_LINES]
-        n_shots = _list_noise(voted[line], ranges, above_m[line], far_m, foot_m, shots)
-        for n in range(n_shots):
+        _mark_noise(voted[line], ranges, above_m[line], far_m, foot_m, marks)
+        for n in range(list_few(marks, shots)):
             i = int(shots[n])
             if _is_leaf(range_m, labels, line + BESIDE_LINES, i, thresholds):
                 later[line, i] = _LEAVES

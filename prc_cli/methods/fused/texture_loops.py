@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.loops import helper, loop
 from prc_cli.core.types import F32, F32_2, I32, U8, U8_2
+from prc_cli.methods.fused.lists_loops import list_few
 from prc_cli.methods.fused.records import FiveLines
 from prc_cli.methods.fused.thresholds import DepthThresholds
 
@@ -139,16 +140,16 @@ def _raise_shares(
     smooth: U8,
     thresholds: DepthThresholds,
     shares: F32,
+    marks: U8,
     shots: I32,
 ) -> None:
     """Raise the share of a rough place around a smooth shot to the share at the shot's distance."""
     range_m = ranges.middle
-    n = 0
     for i in range(len(shares)):
-        shots[n] = i
         is_smooth = np.float32(smooth[i]) >= thresholds.pairs
-        n += (shares[i] < thresholds.share) & is_smooth & (range_m[i] == range_m[i])
-    for k in range(n):
+        is_rough = (shares[i] < thresholds.share) & (range_m[i] == range_m[i])
+        marks[i] = np.uint8(is_smooth & is_rough)
+    for k in range(list_few(marks, shots)):
         i = shots[k]
         at_depth = _share_at_depth(ranges, pairs, int(i), int(columns[i]), thresholds.depth_m)
         shares[i] = max(shares[i], at_depth)
@@ -181,6 +182,7 @@ def mean_smoothness(
     together = np.empty(m, np.uint32)
     sums_before = np.empty(m + 1, np.uint32)
     columns = np.empty(m, np.int32)
+    marks = np.empty(m, np.uint8)
     shots = np.empty(m + 1, np.int32)
     for k in range(n_lines + 2 * LINES):
         write_pairs(near[k], smooth[k], least_near, words[k % room])
@@ -205,5 +207,6 @@ def mean_smoothness(
         d = (line + 3) % room
         e = (line + 4) % room
         pairs = FiveLines(words[a], words[b], words[c], words[d], words[e])
-        _raise_shares(ranges, pairs, columns, smooth[line + LINES], thresholds, mean[line], shots)
+        smooth_of_line = smooth[line + LINES]
+        _raise_shares(ranges, pairs, columns, smooth_of_line, thresholds, mean[line], marks, shots)
     return mean

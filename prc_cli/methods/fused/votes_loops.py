@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from prc_cli.core.classes import Label
 from prc_cli.core.loops import helper, inlined, loop
 from prc_cli.core.types import F32, F32_2, I32, U8, U8_2
+from prc_cli.methods.fused.lists_loops import list_few
 from prc_cli.methods.fused.records import Beams, VotingLine
 
 Pairs = NDArray[np.uint32]
@@ -119,11 +120,7 @@ def _vote_line(
     y0, z0, w0 = before
     y1, z1, w1 = line
     y2, z2, w2 = after
-    n = 0
-    for i in range(m):
-        shots[n] = i
-        n += unsettled[i]
-    for k in range(n):
+    for k in range(list_few(unsettled, shots)):
         i = shots[k]
         y = y1[i]
         z = z1[i]
