@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.loops import helper, inlined, loop
-from prc_cli.core.types import F32, F32_2, I32, U8_2, U64, U64_2
+from prc_cli.core.types import F32, F32_2, I32, U8, U8_2, U64, U64_2
 from prc_cli.methods.fused.records import (
     LORRY_BIN,
     SLOT_M,
@@ -33,6 +33,37 @@ MOST_SLOTS = 12
 FEWER = 4
 """Ground seen through the body is less than that beneath, divided by this."""
 _FAR = np.float32(1e6)
+
+
+@helper
+def _sort_ground(
+    ranges: F32,
+    above: F32,
+    chords: U8,
+    beams: Beams,
+    soil_m: np.float32,
+    places: I32,
+    shots: I32,
+    bins: I32,
+    depths: F32,
+) -> None:
+    """Count the ground shots of a line by bin, and write their depth below the scanner [m]."""
+    for i in range(len(ranges)):
+        is_soil = (abs(above[i]) < soil_m) & (chords[i] <= 1)
+        y = ranges[i] * beams.sine[i] if is_soil else _FAR
+        q = np.int32(np.floor(min(max(y / BIN_M, -_FAR), _FAR))) + np.int32(BINS)
+        places[i] = q if (q >= 0) & (q < 2 * BINS) else np.int32(-1)
+    n = 0
+    for i in range(len(ranges)):
+        shots[n] = i
+        n += places[i] >= 0
+    for b in range(len(bins)):
+        bins[b] = np.int32(0)
+    for k in range(n):
+        shot = np.uint64(shots[k])
+        place = np.uint64(places[shot])
+        bins[place] += 1
+        depths[place] = ranges[shot] * beams.cosine[shot]
 
 
 @helper
@@ -134,6 +165,8 @@ def find_flanks(
     room = 2 * LINES + 1
     bins = np.empty((room, 2 * BINS), np.int32)
     depths = np.empty((room, 2 * BINS), np.float32)
+    places_of_shots = np.empty(range_m.shape[1], np.int32)
+    shots = np.empty(range_m.shape[1] + 1, np.int32)
     lines = np.empty(STRIPS + 2, np.float32)
     walls = np.empty(STRIPS, np.float32)
     places = np.empty(STRIPS, np.float32)
@@ -141,21 +174,17 @@ def find_flanks(
     least = thresholds.least_m * np.float32(room)
     most = thresholds.most_m * np.float32(room)
     for k in range(n_lines + 2 * LINES):
-        # ground shots of the line by bin, and their depth below the scanner
-        ranges = range_m[k]
-        above = above_m[k]
-        chords = upright[k]
-        bins_of_line = bins[k % room]
-        depths_of_line = depths[k % room]
-        for b in range(len(bins_of_line)):
-            bins_of_line[b] = np.int32(0)
-        for i in range(len(ranges)):
-            if (abs(above[i]) < thresholds.soil_m) & (chords[i] <= 1):
-                y = ranges[i] * beams.sine[i]
-                q = int(np.floor(min(max(y / BIN_M, -_FAR), _FAR))) + BINS
-                if 0 <= q < 2 * BINS:
-                    bins_of_line[q] += 1
-                    depths_of_line[q] = ranges[i] * beams.cosine[i]
+        _sort_ground(
+            range_m[k],
+            above_m[k],
+            upright[k],
+            beams,
+            thresholds.soil_m,
+            places_of_shots,
+            shots,
+            bins[k % room],
+            depths[k % room],
+        )
         if k < 2 * LINES:
             continue
         line = k - 2 * LINES
