@@ -946,6 +946,8 @@ def label_further_returns(
     >>> [Label(label).name for label in label_further_returns(image, labels, *further, 0.3)]
     ['VEGETATION', 'NOISE']
     """
+    if not len(line):
+        return np.empty(0, np.uint8)
     further = label_extra_returns(range_m, labels, line, column, range_m_extra, limit_m, limit_m)
     known_m = np.where(labels == Label.NOISE, np.float32(np.nan), range_m)
     leaf_m = float(STREET.late_leaves.range_m)
