@@ -10,27 +10,8 @@ import numpy as np
 import pytest
 
 from tests.cli.conftest import Prc
+from tests.evaluation.test_paper_tables import TABLE_I
 
-TABLE_I = {
-    "1.0": (
-        (0.541, 0.286, 0.095, 0.077),
-        (0.003, 0.964, 0.010, 0.023),
-        (0.113, 0.084, 0.665, 0.137),
-        (0.042, 0.222, 0.125, 0.611),
-        (0.165, 0.592, 0.120, 0.123),
-    ),
-    "0.1": (
-        (0.614, 0.263, 0.058, 0.065),
-        (0.159, 0.804, 0.014, 0.023),
-        (0.373, 0.024, 0.467, 0.136),
-        (0.169, 0.025, 0.119, 0.687),
-        (0.222, 0.340, 0.153, 0.285),
-    ),
-}
-"""Lehtola et al. (2019), Table I, by zeta_p.
-
-Shares of noise, ground, vegetation, building; the last row is "other".
-"""
 CODES = (7, 2, 5, 6)
 OTHER = 65
 
