@@ -41,8 +41,10 @@ def test_large_times_are_in_the_unit_that_makes_them_seconds(unit: str, factor: 
 def test_the_bounds_of_records_are_those_of_all_chunks() -> None:
     values = {name: np.array([3.0, np.nan, 1.0, 2.0]) + k for k, name in enumerate("xyz")}
     contents = Contents()
-    source = MemorySource({**values, "time": np.arange(5.0, 9.0)}, chunk_records=2)
+    values |= {"time": np.arange(5.0, 9.0), "classification": np.array([2, 6, 2, 2])}
+    source = MemorySource(values, chunk_records=2)
     for _ in watched_contents(source, contents):
         pass
     assert contents.bounds_m == {"x": (1.0, 3.0), "y": (2.0, 4.0), "z": (3.0, 5.0)}
     assert contents.time_s == (5.0, 8.0)
+    assert contents.classes == {2: 3, 6: 1}

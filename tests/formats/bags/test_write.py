@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from prc_cli.config import load_config
+from prc_cli.core.blocks import join
 from prc_cli.core.errors import ConfigError, OutputError, PrcError
+from prc_cli.formats.bags.read import BagStream
+from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.convert import convert
 from prc_cli.jobs.simulate import Beside, simulate
 from prc_cli.simulation.settings import load_settings
@@ -50,3 +53,16 @@ def test_times_that_no_message_can_have_are_refused(
     with pytest.raises(PrcError):
         convert(source, tmp_path / f"o{suffix}", load_config(options={"input": {"order": "trust"}}))
     assert [path.name for path in tmp_path.iterdir() if not path.name.startswith("in.")] == []
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
+def test_a_spinning_scanner_becomes_clouds(tmp_path: Path, suffix: str) -> None:
+    scanner = {"name": "vlp-32c", "azimuth_step_deg": 1.4, "line_hz": 2570.0}
+    settings = load_settings("street", options={"scanner": scanner, "duration_s": 0.2, "seed": 5})
+    simulate("street", tmp_path / "spin.npz", settings)
+    convert(tmp_path / "spin.npz", tmp_path / f"a{suffix}", load_config())
+    ranges = join(list(BagStream(tmp_path / f"a{suffix}", InputConfig()).blocks())).range_m
+    expected = np.load(tmp_path / "spin.npz")["range_m"]
+    np.testing.assert_allclose(
+        np.sort(ranges[np.isfinite(ranges)]), np.sort(expected[np.isfinite(expected)]), rtol=1e-5
+    )

@@ -94,6 +94,11 @@ def test_arrays_that_are_no_codes(tmp_path: Path, values: Any, message: str) -> 
     assert refused(path).startswith(f"codes.npy: {message}")
 
 
+def test_an_image_of_codes_is_read_line_by_line(tmp_path: Path) -> None:
+    np.save(tmp_path / "codes.npy", np.reshape(CODES, (2, 3)))
+    assert read(tmp_path / "codes.npy") == CODES
+
+
 def test_rows_of_a_label_file_must_be_in_record_order(tmp_path: Path) -> None:
     path = tmp_path / "labels.csv"
     path.write_text("record,class,name\n0,2,ground\n1,6,building\n2,7,noise\n")

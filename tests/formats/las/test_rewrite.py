@@ -31,6 +31,7 @@ from tests.formats.common import (
     writer,
 )
 from tests.formats.las.lasbytes import (
+    EXTRA,
     Parsed,
     classes,
     evlr_bytes,
@@ -146,6 +147,23 @@ def test_an_extra_dimension_of_another_type_is_refused(tmp_path: Path) -> None:
         ),
     ):
         opened.finish(run_record())
+
+
+@pytest.mark.parametrize("extra", [(), EXTRA])
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_segments_are_added_behind_what_is_there(
+    tmp_path: Path, suffix: str, extra: tuple[laspy.ExtraBytesParams, ...]
+) -> None:
+    source = tmp_path / f"in{suffix}"
+    make_las(source, 6, extra=extra)
+    segments = np.random.default_rng(2).integers(0, 1 << 20, 300)
+    blocks = record_blocks(random_labels(300), segments=segments)
+    write(tmp_path / "out.laz", source, blocks, options=OutputConfig(segment_ids=True))
+    old = laspy.read(source)
+    new = laspy.read(tmp_path / "out.laz")
+    np.testing.assert_array_equal(new["segment_id"], segments)
+    for name in set(old.point_format.dimension_names) - {"classification"}:
+        np.testing.assert_array_equal(new[name], old[name])
 
 
 # ---- odd and damaged files
