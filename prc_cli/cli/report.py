@@ -9,6 +9,7 @@ import contextlib
 import re
 import sys
 import threading
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -159,11 +160,17 @@ def notices_of_files(notices_by_file: Iterable[Iterable[str]]) -> Iterator[str]:
 
     >>> list(notices_of_files([["12 of 40 rows repeat"], ["7 of 30 rows repeat"]]))
     ['12 of 40 rows repeat (1 more file has this note, with other numbers)']
+    >>> list(notices_of_files([["scanner 1 leans", "scanner 2 leans"]]))
+    ['scanner 1 leans', 'scanner 2 leans']
     """
-    alike: dict[str, dict[str, None]] = {}
+    alike: dict[tuple[str, int], dict[str, None]] = {}
     for notices in notices_by_file:
-        for notice in notices:
-            alike.setdefault(re.sub(r"\d[\d.,]*", "0", notice), {})[notice] = None
+        # the notes of a file on its scanners differ in numbers too: each stays
+        seen = Counter[str]()
+        for notice in dict.fromkeys(notices):
+            words = re.sub(r"\d[\d.,]*", "0", notice)
+            alike.setdefault((words, seen[words]), {})[notice] = None
+            seen[words] += 1
     for first, *others in alike.values():
         n = len(others)
         files = "1 more file has" if n == 1 else f"{n} more files have"
