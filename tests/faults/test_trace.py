@@ -161,3 +161,22 @@ def test_so_is_every_file_of_a_batch(few: Archive, tmp_path: Path) -> None:
     named = check_order(traced_calls, out)
     assert set(few.whole) <= named
     assert "summary.json" in named
+
+
+def test_what_is_out_of_order_is_seen(tmp_path: Path) -> None:
+    part = "/out/.a.part"
+    name = "/out/a"
+    out = Path("/out")
+    write = ("write", [part])
+    flush = ("fsync", [part])
+    link = ("link", [part, name])
+    sync = ("fsync", ["/out"])
+    assert check_order([write, flush, link, sync], out) == {"a"}
+    for wrong in (
+        [write, link, sync],
+        [write, flush, write, link, sync],
+        [write, flush, link],
+        [write, link, flush, sync],
+    ):
+        with pytest.raises(AssertionError, match="/out/a"):
+            check_order(wrong, out)

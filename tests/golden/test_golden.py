@@ -51,3 +51,11 @@ def test_no_case_is_a_mistake_of_its_own() -> None:
     assert [
         name for name, case in kept.items() if any(word in case["exit"] for word in broken)
     ] == []
+
+
+def test_one_bit_is_seen() -> None:
+    kept = json.loads(GOLDEN.read_text(encoding="utf-8"))
+    name = "classify-channels"
+    altered = {**kept[name], "files": {**kept[name]["files"], "o.laz": "0" * 64}}
+    assert differences(kept, {name: altered}) != []
+    assert differences(kept, {name: kept[name]}) == []

@@ -371,3 +371,11 @@ def test_a_file_system_that_does_not_answer(
     with pytest.raises(InputError, match="has not answered for 0.1 s"):
         discover(BatchSettings(tmp_path, tmp_path / "out"), patience_s=0.1)
     answers.set()
+
+
+def test_what_a_killed_run_left_is_done_again_over_its_output(settings: BatchSettings) -> None:
+    known = entry(settings, "a.npz", "running")
+    output(settings, "a.npz").write_bytes(b"renamed just before the kill")
+    plan = plan_of(settings, known)
+    assert reasons(plan)["a.npz"] == "unfinished"
+    assert plan.todo[0].task.overwrite
