@@ -59,8 +59,10 @@ NARROW = np.uint8(2)
 """Marks of shots that lines on both sides see far past, and of those that few lines see."""
 GAP = np.uint8(4)
 """Mark of single shots within a run that miss the thing."""
-ROUND = np.float32(0.34)
-"""By how much of its radius the middle half of a round thing is nearer than its outer quarters."""
+ROUND = np.float32(0.68)
+"""By how much of its radius two inner quarters of a round thing are nearer than its outer ones."""
+EVEN = np.float32(0.25)
+"""Its inner quarters differ by less than this share of that, but for a tilt."""
 CHEST_M = np.float32(1.0)
 """A higher start is a body only if it is taller than roof between windows [m]."""
 MAST_SHARE = np.float32(0.4)
@@ -185,24 +187,25 @@ def _bulge(
     before: np.uint8,
     after: np.uint8,
 ) -> np.float32:
-    """Return how much nearer an object's middle half is than its outer quarters of lines, or 0."""
+    """Return how much nearer an object's two inner quarters of lines are than its outer ones, or 0.
+
+    A scan plane that is turned about the vertical sees round things tilted, but they are even.
+    """
     first = line - int(before & COUNT) + 1
-    n = int(before & COUNT) + int(after & COUNT) - 1
-    quarter = max(n // 4, 1)
+    n = int(_lines_of_object(before, after))
     if n < 3:
         return np.float32(0.0)
-    left = right = middle = np.float32(0.0)
-    for k in range(n):
-        range_m = window_m[first + k, i]
-        left += range_m if k < quarter else np.float32(0.0)
-        right += range_m if k >= n - quarter else np.float32(0.0)
-        middle += range_m if (k >= quarter) & (k < n - quarter) else np.float32(0.0)
-    left = left / np.float32(quarter)
-    right = right / np.float32(quarter)
-    middle = middle / np.float32(n - 2 * quarter)
-    if min(left, right) > middle:
-        return np.float32(0.5) * (left + right) - middle
-    return np.float32(0.0)
+    quarter = max(n // 4, 1)
+    half = (n + 1) // 2
+    tilt = np.float32((n - quarter - half) / (n - quarter))
+    bulge = skew = np.float32(0.0)
+    for k in range(half):
+        left = window_m[first + k, i]
+        right = window_m[first + n - 1 - k, i]
+        share = np.float32(1.0 / (quarter if k < quarter else quarter - half))
+        bulge += share * (left + right)
+        skew += share * (right - left) * (tilt if k < quarter else 1)
+    return bulge if abs(skew) < EVEN * bulge else np.float32(0.0)
 
 
 @helper
@@ -346,7 +349,8 @@ def _kind_of_run(
         if k % stride == 0:
             across = abs(side[j]) / window_m[line, j]
             radius = _bulge(window_m, line, j, before[j], after[j]) * across / ROUND
-            n_round += int((radius >= thresholds.round_m) & (radius <= thresholds.deep_m))
+            least_m = thresholds.round_m * _lines_of_object(before[j], after[j])
+            n_round += least_m <= radius <= thresholds.deep_m
             n_sampled += 1
         k += 1
     return POST if 2 * n_round > n_sampled else np.uint8(0)

@@ -142,8 +142,8 @@ class ColumnThresholds(NamedTuple):
     """Greatest depth of a trunk or post [m]."""
     thin_lines: np.float32 = f32(3)
     """Lines that see a trunk or post, up to which it need not be round: too few to see that."""
-    round_m: np.float32 = f32(0.03)
-    """Least radius of a trunk or post that more lines see [m]."""
+    round_m: np.float32 = f32(0.008)
+    """Least radius of one that more lines see, a line: lines are more than 1.6 cm apart [m]."""
     small_lines: np.float32 = f32(7)
     """Most lines that see something small, as people."""
     small_share: np.float32 = f32(0.7)

@@ -5,6 +5,9 @@ What they are, and what they are without their steps.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -128,17 +131,37 @@ def test_a_person_is_no_thing_of_the_street(street: tuple[F32, U8]) -> None:
     assert not (classified(ranges, columns={"small_lines": 0})[hit] == Label.UNCLASSIFIED).any()
 
 
+def trunk(off: float, *, radius_m: float = 0.3, turn_deg: float = 0.0) -> float:
+    """Return how much nearer than its middle a round thing is; off the middle by -1 to 1 radii.
+
+    The scan plane is turned about the vertical.
+    """
+    return radius_m * float(np.sqrt(1 - off**2) + off * np.tan(np.deg2rad(turn_deg)))
+
+
+def corner(off: float) -> float:
+    """Return the same of a corner, whose sides go away from the scanner unlike."""
+    return -0.2 * max(0.3 - off, 0.0) - 0.6 * max(off - 0.3, 0.0)
+
+
 @pytest.mark.parametrize(
-    ("radius_m", "label"), [(0.3, Label.VEGETATION), (0.08, Label.POLE), (None, Label.BUILDING)]
+    ("nearer_m", "label"),
+    [
+        (trunk, Label.VEGETATION),
+        (partial(trunk, radius_m=0.11), Label.POLE),
+        (partial(trunk, turn_deg=35), Label.VEGETATION),
+        (partial(trunk, turn_deg=-35), Label.VEGETATION),
+        (lambda _: 0.0, Label.BUILDING),
+        (corner, Label.BUILDING),
+    ],
 )
-def test_what_stands_alone_is_a_wall_only_if_flat(
-    street: tuple[F32, U8], radius_m: float | None, label: Label
+def test_what_stands_alone_is_a_wall_only_if_not_round(
+    street: tuple[F32, U8], nearer_m: Callable[[float], float], label: Label
 ) -> None:
     ranges = street[0].copy()
     hit = np.zeros(street[0].shape, np.bool_)
     for line in range(18, 30):  # between the car's lines and the ends
-        off = (line - 23.5) / 6
-        thing = surface(-3.3 + (radius_m * np.sqrt(1 - off**2) if radius_m else 0.0), 0.0, 4.0)
+        thing = surface(-3.3 + nearer_m((line - 23.5) / 6), 0.0, 4.0)
         hit[line] = np.isfinite(thing)
         ranges[line, hit[line]] = thing[hit[line]]
     high = hit & (HEIGHT_M - ranges * DOWN > 0.5)
