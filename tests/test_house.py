@@ -170,13 +170,13 @@ HEAVIEST = {
         "riddles": 42,
     },
     "tests": {
-        "tokens": 315_000,
+        "tokens": 300_000,
         "tokens_per_line": 10.5,
         "long_lines": 27,
         "packed_share": 0.015,
         "tuples": 68,
         "format_skips": 10,
-        "riddles": 60,
+        "riddles": 55,
     },
     "benchmarks": {
         "tokens": 50_000,
