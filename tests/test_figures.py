@@ -28,9 +28,11 @@ def is_old(page: str, changelog: str) -> bool:
     )
 
 
-def test_every_page_has_a_head() -> None:
+def test_every_page_begins_with_its_head() -> None:
     for path in FIGURES.glob("*.md"):
-        assert measured(path.read_text(encoding="utf-8")) is not None, path
+        text = path.read_text(encoding="utf-8")
+        assert text.startswith("<!-- written by python -m benchmarks."), path
+        assert measured(text) is not None, path
 
 
 def test_no_page_is_older_than_the_labels() -> None:
