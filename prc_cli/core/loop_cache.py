@@ -34,14 +34,14 @@ SOURCES = (
 """What compiled loops are made of."""
 
 
-@cache
 def loops_folder() -> Path | None:
     """Return the folder for loops of these sources, numba, NumPy and processor; None = nowhere."""
     folder = writable_cache()
-    return None if folder is None else folder / _name_of_loops()
+    return None if folder is None else folder / name_of_loops()
 
 
-def _name_of_loops() -> str:
+@cache
+def name_of_loops() -> str:
     """Return the name of the folder for loops of these sources, numba, NumPy and processor.
 
     Numba looks at the size and time of a loop's own file alone, and an upgrade may keep both.
@@ -101,7 +101,7 @@ def open_to_others(folder: Path) -> str:
         for above in folder.parents:
             if why := who_may_change(above, may_add=True):
                 return f"{above}: {why}"
-        for path in itertools.chain(folder.iterdir(), (folder / _name_of_loops()).rglob("*")):
+        for path in itertools.chain(folder.iterdir(), (folder / name_of_loops()).rglob("*")):
             # another process, which compiles, may have renamed it since
             with contextlib.suppress(FileNotFoundError):
                 if why := who_may_change(path):

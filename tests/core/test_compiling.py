@@ -85,12 +85,12 @@ LOOPS = loops_of(labels_loops)
 def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The cache is empty, and no loop is loaded."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    for cached in (loop_cache.writable_cache, loop_cache.loops_folder):
+    for cached in (loop_cache.writable_cache, loop_cache.name_of_loops):
         cached.cache_clear()
     for loop in LOOPS:
         monkeypatch.setattr(loop, "_compiled", None)
     yield tmp_path
-    for cached in (loop_cache.writable_cache, loop_cache.loops_folder):
+    for cached in (loop_cache.writable_cache, loop_cache.name_of_loops):
         cached.cache_clear()
 
 

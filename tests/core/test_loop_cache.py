@@ -46,7 +46,7 @@ def _forget_the_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Itera
 
 def forget() -> None:
     cache.writable_cache.cache_clear()
-    cache.loops_folder.cache_clear()
+    cache.name_of_loops.cache_clear()
 
 
 def blocked(tmp_path: Path) -> Path:
@@ -120,7 +120,7 @@ def test_what_loops_are_made_of_names_their_folder(
     monkeypatch.setattr(cache, "_PACKAGE", tmp_path)
 
     def folder() -> Path | None:
-        cache.loops_folder.cache_clear()
+        cache.name_of_loops.cache_clear()
         return cache.loops_folder()
 
     folders = [folder(), folder()]
