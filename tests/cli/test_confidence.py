@@ -77,8 +77,14 @@ def test_thin_drops_what_is_not_sure(prc: Prc, folder: Path) -> None:
     kept = ~np.isnan(np.load(folder / "thin.npz")["range_m"]).ravel()
     np.testing.assert_array_equal(kept, values(labels) >= 95)
     way = ("--preset", "fused", "--set", "input.nadir=0", "-q")
-    assert prc(f"thin {folder}/scan.npz {folder}/way.npz", *way, *least).code == 0
-    np.testing.assert_array_equal(~np.isnan(np.load(folder / "way.npz")["range_m"]).ravel(), kept)
+    # a preset decides, whatever classes are there
+    marked = {**np.load(folder / "scan.npz"), "class": np.full(RANGES.shape, 7)}
+    np.savez(folder / "marked.npz", **marked)
+    for name in ("scan", "marked"):
+        out = folder / f"{name}_way.npz"
+        assert prc(f"thin {folder}/{name}.npz {out}", *way, *least).code == 0
+        np.testing.assert_array_equal(~np.isnan(np.load(out)["range_m"]).ravel(), kept)
+    assert prc(f"thin {folder}/marked.npz {folder}/no.npz").code == 2
     for options, expected_words in (
         (("--labels", folder / "truth.npy"), "output.confidence=true"),
         (("--preset", "prc-2019-urban"), "expected fused"),

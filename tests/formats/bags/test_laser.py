@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from prc_cli.core.blocks import join
+from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.bags.read import BagStream
 from prc_cli.formats.options import InputConfig
@@ -32,6 +34,17 @@ def clean(range_m: np.ndarray) -> np.ndarray:
     return np.where((range_m >= 0.1) & (range_m < 100.0), range_m, np.nan)
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [{"angle_increment": 0.0}, {"angle_min": np.nan}, {"time_increment": np.inf}],
+)
+def test_angles_and_times_that_make_no_grid_are_refused(
+    tmp_path: Path, changes: dict[str, float]
+) -> None:
+    with pytest.raises(InputError, match="expected finite numbers"):
+        read_parts(tmp_path, [(made.ranges()[0], changes)])
+
+
 def test_a_first_angle_that_is_a_step_off_moves_the_columns(tmp_path: Path) -> None:
     ranges = made.ranges()
     _, block = read_parts(
@@ -44,6 +57,7 @@ def test_a_first_angle_that_is_a_step_off_moves_the_columns(tmp_path: Path) -> N
 
 def test_parts_of_a_line_join(tmp_path: Path) -> None:
     ranges = made.ranges()
+    ranges[:, :2] = 0.1, 100.0
     parts = []
     for row in ranges:
         parts += [(row[k : k + 10], {"angle_min": -1.5 + STEP * k}) for k in range(0, made.M, 10)]

@@ -192,11 +192,22 @@ def test_fields_of_an_unknown_type_are_refused(tmp_path: Path) -> None:
         read_cloud(tmp_path, sent)
 
 
-def test_two_scanners_in_one_cloud_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("columns_of_a_time", "problem"),
+    [
+        (1, "each with azimuths all around"),
+        (70, "326 points of a ring share 3 times"),
+        (100, "the points of a ring have one time"),
+    ],
+)
+def test_two_scanners_in_one_cloud_are_refused(
+    tmp_path: Path, columns_of_a_time: int, problem: str
+) -> None:
     drive = made.drive(400, together=True)
     turned = {**drive, "xyz": drive["xyz"] @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])}
     both = {name: np.concatenate([values, turned[name]]) for name, values in drive.items()}
-    with pytest.raises(InputError, match="each with azimuths all around"):
+    both["time"] = made.COLUMN_S * (both["column"] // columns_of_a_time * columns_of_a_time)
+    with pytest.raises(InputError, match=problem):
         read_cloud(tmp_path, messages(both))
 
 

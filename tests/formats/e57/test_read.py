@@ -15,7 +15,14 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised import e57_read
 from prc_cli.formats.organised.e57_read import E57Stream
 from prc_cli.streams.open import open_input
-from tests.formats.organised_files import Array, Scan, e57_fields, grid_points, write_e57
+from tests.formats.organised_files import (
+    Array,
+    Scan,
+    e57_fields,
+    grid_points,
+    replace_xml,
+    write_e57,
+)
 from tests.formats.test_ptx import equal, expected, scans_of
 
 AUTO = InputConfig()
@@ -142,6 +149,13 @@ def test_scans_that_are_no_images_are_refused(
         if values is not None
     }
     assert re.search(message, refused(write_e57(tmp_path / "a.e57", [Scan(kept)])))
+
+
+def test_a_file_without_scans_says_so(tmp_path: Path) -> None:
+    path = write_e57(tmp_path / "a.e57", [])
+    assert "no scans" in refused(path)
+    path.write_bytes(replace_xml(path.read_bytes(), b"data3D", b"others"))
+    assert "no scans" in refused(path)
 
 
 @pytest.mark.parametrize("length", [0.0, 1e200])

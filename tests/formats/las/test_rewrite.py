@@ -17,7 +17,7 @@ import pytest
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.formats.las.header import standard_bytes
-from prc_cli.formats.las.points import set_classes
+from prc_cli.formats.las.points import set_classes, upgrade
 from prc_cli.formats.las.vlrs import names_of_file
 from prc_cli.formats.writing.columns import Coordinates, OutputConfig
 from tests.formats.common import (
@@ -120,6 +120,8 @@ def test_codes_above_31_upgrade_the_format(tmp_path: Path, form: int, suffix: st
     returns = np.bincount(old.records[:, 14] & 7, minlength=16)[1:16]
     assert struct.unpack_from("<15Q", new.data, 255) == tuple(returns)
     _same_dimensions(source, output)
+    upgraded = upgrade(old.records, form)
+    np.testing.assert_array_equal(upgraded[:, 16], old.records[:, 15] & 31)
 
 
 def _same_dimensions(source: Path, output: Path) -> None:

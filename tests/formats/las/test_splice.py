@@ -17,7 +17,7 @@ from prc_cli.formats.las import rewrite as las_rewrite
 from prc_cli.formats.las import splice as las_splice
 from prc_cli.formats.las.header import open_bytes, read_header
 from prc_cli.formats.las.read import LasSource
-from prc_cli.formats.las.splice import Splice, find_chunks
+from prc_cli.formats.las.splice import Splice, contexts_of, find_chunks, records_of
 from tests.formats.common import URBAN, random_labels, record_blocks, run_record, write, writer
 from tests.formats.las.lasbytes import (
     EXTRA,
@@ -87,6 +87,12 @@ def labelled_copy(source: Path, output: Path) -> tuple[Parsed, np.ndarray]:
     labels = random_labels(n_points(source.read_bytes()))
     write(output, source, record_blocks(labels))
     return parse(output), ClassCodes().lookup()[labels]
+
+
+def test_records_have_the_contexts_that_they_were_made_of() -> None:
+    records = records_of(np.arange(8, dtype=np.uint8))
+    assert contexts_of(records).tolist() == list(range(8))
+    assert (records[:, 15] >> 4).tolist() == 2 * [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize(

@@ -210,7 +210,9 @@ METADATA = {
 }
 
 
-def ouster(profile: str = "RNG19_RFL8_SIG16_NIR16") -> tuple[dict[str, Any], list[bytes]]:
+def ouster(
+    profile: str = "RNG19_RFL8_SIG16_NIR16", *, good: int = 120
+) -> tuple[dict[str, Any], list[bytes]]:
     """Metadata and packets: the range of a pixel is 1000 (frame + 1) + column + 200 row
     millimetres."""
     table = json.loads(json.dumps(METADATA))
@@ -221,7 +223,7 @@ def ouster(profile: str = "RNG19_RFL8_SIG16_NIR16") -> tuple[dict[str, Any], lis
             body = b""
             for number in range(first, first + 16):
                 stamp = (frame * 120 + number) * 1_000_000
-                is_good = number < 120
+                is_good = number < good
                 range_mm = [1000 * (frame + 1) + number + 200 * row for row in range(4)]
                 body += _column(profile, stamp, number, frame, is_good, range_mm)
             legacy = profile == "LEGACY"

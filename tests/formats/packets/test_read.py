@@ -129,6 +129,23 @@ def test_ouster_columns_are_destaggered_in_angle_not_in_time(tmp_path: Path, pro
     assert stream.info.facts.has_line_times
 
 
+@pytest.mark.parametrize(("first", "last", "every"), [(0, 119, 120), (10, 99, 92)])
+def test_ouster_columns_outside_the_window_are_not_read(
+    tmp_path: Path, first: int, last: int, every: int
+) -> None:
+    table, packets = made.ouster(good=128)
+    table["data_format"]["column_window"] = [first, last]
+    path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets, 7502))
+    path.with_suffix(".json").write_text(json.dumps(table))
+    _, block = read(path)
+    number = np.arange(first, last + 1)
+    wanted = np.full(block.n_lines, np.nan)
+    for frame in range(2):
+        wanted[frame * every :][: len(number)] = 1000 * (frame + 1) + number + 600
+    assert block.n_lines == every + len(number) + 2
+    np.testing.assert_allclose(block.range_m[:, 0], 1e-3 * wanted, rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -18,8 +18,9 @@ from prc_cli.methods.fused import neighbours_loops as fused_neighbours
 from prc_cli.methods.fused import pipeline, plane
 from prc_cli.methods.fused import strips_loops as fused_strips
 from prc_cli.methods.fused import texture_loops as fused_texture
+from prc_cli.methods.fused.confidence import Evidence
 from prc_cli.methods.fused.interlace import align_columns
-from prc_cli.methods.fused.pipeline import FusedParams
+from prc_cli.methods.fused.pipeline import FusedParams, Stream
 from prc_cli.methods.fused.plane import ScanPlane
 from prc_cli.methods.fused.range_noise import (
     MIDDLE_OF_THREE,
@@ -28,6 +29,8 @@ from prc_cli.methods.fused.range_noise import (
     off_lines,
     range_noise,
 )
+from prc_cli.methods.fused.records import FilledSlots, Neighbours, Walls
+from prc_cli.methods.fused.strips import Strips
 from prc_cli.methods.fused.thresholds import STREET
 from prc_cli.simulation.settings import load_settings, open_simulation
 
@@ -153,6 +156,35 @@ def test_missing_shots_stay_missing() -> None:
     ranges = wall(np.where(np.arange(len(BEAM)) % 2 == 1, 0.5, 0.0))
     ranges[10:12, 5:9] = np.nan
     assert np.array_equal(np.isnan(in_step(ranges)), np.isnan(ranges))
+
+
+def test_evidence_of_streams_is_put_together_by_lines() -> None:
+    """Lines are from the stream that their spacing asks for; those beside the block are empty."""
+
+    def evidence(first: int, every: int) -> Evidence:
+        # a stream has two more lines before and after those of the block
+        lines = np.arange(first - 2 * every, 6 + 2 * every, every)
+        values = np.repeat(lines[:, None] + 10 * every, 3, axis=1)
+        near = Neighbours(*np.full((4, len(values), 3), values, np.uint8))
+        slots = FilledSlots(*np.full((2, len(values), 3), values, np.uint64))
+        walls = Walls(*np.full((3, len(values), 3), values, np.float32))
+        levels, kinds = np.full((2, len(values), 3), values, np.uint8)
+        strips = Strips(slots, walls, levels, kinds)
+        return Evidence(near, near.near, values.astype(np.float32), strips, 2)
+
+    streams = [Stream(first, every, None, None) for first, every in ((0, 1), (0, 2), (1, 2))]
+    apart = np.array([1, 2, 2, 1, 2, 1])
+    evidences = [evidence(stream.first, stream.every) for stream in streams]
+    merged = pipeline._merge_evidence(evidences, np.zeros((6, 3), np.float32), streams, apart)
+    wanted = np.repeat(np.arange(6)[:, None] + 10 * apart[:, None], 3, axis=1)
+    strips = merged.strips
+    padded = [merged.texture, *strips.slots, *strips.walls, strips.levels, strips.kinds]
+    for values in padded:
+        np.testing.assert_array_equal(values, np.pad(wanted, ((1, 1), (0, 0))))
+    for values in merged.neighbours:
+        np.testing.assert_array_equal(values, wanted)
+    alone = pipeline._merge_evidence(evidences[:1], merged.above_m, streams[:1], apart)
+    assert alone is evidences[0]
 
 
 def test_stages_and_loops_agree_on_what_lies_around_a_block() -> None:

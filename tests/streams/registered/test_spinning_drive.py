@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from prc_cli.core.findings import Verdict
 from prc_cli.core.stream import ScanBlock
@@ -12,7 +13,7 @@ from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.open import open_input
 from prc_cli.streams.registered.scanner_paths import scanner_paths
-from prc_cli.streams.registered.spinning_drive import judge_rings
+from prc_cli.streams.registered.spinning_drive import _PassCounts, judge_rings
 from tests.formats.builders import of_points, write_csv
 from tests.streams.registered.spinning_clouds import spinning_cloud, station
 
@@ -47,6 +48,22 @@ def test_a_shuffled_cloud_becomes_lines_of_firings_and_columns_of_rings(tmp_path
     assert np.median(off_m) < 0.02, off_m
     assert off_m.max() < 0.2, off_m
     assert np.isfinite(path.sigma_m).all()
+
+
+def test_a_path_reaches_from_the_first_point_to_the_last() -> None:
+    time_s = np.array([1.0, 2.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    station = np.stack([2.0 * time_s, 0.0 * time_s, 0.0 * time_s], axis=1)
+    axis = np.stack([0.1 * time_s, 0.0 * time_s, 1.0 + 0.0 * time_s], axis=1)
+    counts = _PassCounts([time_s], [station], axis=[axis], points_s=[0.5, 7.0])
+    path = counts.path(3, 4)
+    assert path.time_s.tolist() == [0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
+    assert path.axis[:, 0].tolist() == [0.1, *(0.1 * time_s)[[0, 1, 3, 4, 5, 6, 6]]]
+    np.testing.assert_allclose(path.xyz_m[:, 0], 2.0 * path.time_s)
+    # only beyond the windows is it uncertain
+    assert (path.sigma_m > 0)[:, 0].tolist() == [True, *6 * [False], True]
+    assert path.sigma_m[-1, 0] == pytest.approx(4 * path.sigma_m[0, 0])
+    inside = _PassCounts([time_s], [station], axis=[axis], points_s=[2.0, 4.0]).path(0, 0)
+    assert inside.time_s.tolist() == [2.0, 3.0, 4.0]
 
 
 def test_rings_that_points_lie_between_are_doubted_then_refused() -> None:
