@@ -16,10 +16,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from prc_cli.cli.batch_report import print_status
 from prc_cli.core.errors import BusyError
 from prc_cli.core.files import temporary_name
+from prc_cli.jobs.batch import journal
 from prc_cli.jobs.batch import run as run_module
 from prc_cli.jobs.batch.drift import Alarm
+from prc_cli.jobs.batch.journal import Entry
+from prc_cli.jobs.batch.lock import Holder, Owner
 from prc_cli.jobs.batch.outcomes import Done, Doubted, Failed, InputPrint, Problem
 from prc_cli.jobs.batch.plan import Plan
 from prc_cli.jobs.batch.report import BatchSummary
@@ -493,3 +497,32 @@ def test_an_output_that_was_edited_shows_when_it_is_read(prc: Run, tmp_path: Pat
     assert [item["state"] for item in states] == ["damaged"]
     assert "by size and time" not in prc(archive, out, "--preset", "prc-2019-urban", "--verify").err
     assert prc("status", out, "--verify").code == 0, "a run that reads the outputs does it again"
+
+
+def test_status_tells_what_runs_from_what_was_interrupted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    here = Owner(pid=11)
+    gone = Owner(pid=22)
+    start = "2026-01-01T00:00:00.5+00:00"
+    entry = Entry("a.las", "done", "", "2.0.0", "r", 1, start, start, str(gone), None)
+    running = replace(entry, name="b.las", state="running", owner=str(here))
+    entries = [entry, running, replace(running, name="c.las", owner=str(gone), attempts=3)]
+    ended = journal.Run("r", "", "1.2", str(gone), start, start, 4, (("done", 7), ("failed", 0)))
+    runs = [replace(ended, owner=str(owner), exit_code=None) for owner in (here, gone)]
+    holders = [Holder(tmp_path, here, alive=True), Holder(tmp_path, gone, alive=False)]
+    print_status(tmp_path, entries, [ended, *runs], holders)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].endswith("3 files: 1 done, 1 running, 1 interrupted")
+    assert lines[1] == f"running now: {here}"
+    rows = [line.split("│")[-3:-1] for line in lines if line.count("│") > 5]
+    ended_as = [(code.strip(), counts.strip()) for code, counts in rows]
+    assert ended_as[-3:] == [("4", "7 done"), ("running", "7 done"), ("interrupted", "7 done")]
+    assert lines[-2:] == [
+        "running b.las (since 2026-01-01 00:00:00)",
+        "interrupted c.las (since 2026-01-01 00:00:00, 3 attempts)",
+    ]
+    print_status(tmp_path, entries, [], holders[1:])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].endswith("3 files: 1 done, 2 interrupted")
+    assert lines[1] == "no run is active"

@@ -13,7 +13,14 @@ from prc_cli.core.errors import InputError
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.html import as_html
 from prc_cli.evaluation.mapping import load_mapping
-from prc_cli.evaluation.reports import as_csv, as_dict, as_json, as_markdown, doubts
+from prc_cli.evaluation.reports import (
+    as_csv,
+    as_dict,
+    as_json,
+    as_markdown,
+    doubts,
+    markdown_table,
+)
 from prc_cli.evaluation.scores import OVERALL_SCORES, Evaluation, Gate, check_gates, scores
 from tests.evaluation import samples
 
@@ -42,6 +49,13 @@ def test_markdown_shows_names_of_users_as_they_are() -> None:
     text = as_markdown(evaluation)
     assert "a\\|b\\_\\*c\\* \\# d.npy" in text
     assert "a\\|b \\<b\\>" in text
+    table = markdown_table(["a", "sum"], [["long name", "1"], ["b", "20"]])
+    assert table.splitlines() == [
+        "| a         |  sum |",
+        "| --------- | ---: |",
+        "| long name |    1 |",
+        "| b         |   20 |",
+    ]
     for table in (block.splitlines() for block in text.split("\n\n") if block.startswith("|")):
         assert len({line.replace("\\|", "").count("|") for line in table}) == 1
 

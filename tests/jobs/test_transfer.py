@@ -133,6 +133,22 @@ def run(
     )
 
 
+def test_points_whose_labels_are_not_sure_keep_their_class(drive: Drive, tmp_path: Path) -> None:
+    record = drive.registered()
+    confidence = RNG(4).integers(0, 101, N).astype(np.uint8)
+    source = (tmp_path / "labels.las", drive, np.arange(N))
+    labels = write_las(*source, codes=drive.codes, confidence=confidence)
+    registered = write_las(tmp_path / "registered.las", drive, record, codes=9)
+    options = TransferOptions(min_confidence=60, carry=("confidence",))
+    summary = transfer(labels, registered, tmp_path / "out.las", options)
+    sure = confidence[record] >= 60
+    assert np.array_equal(codes_of(tmp_path / "out.las"), np.where(sure, drive.codes[record], 9))
+    carried = laspy.read(tmp_path / "out.las")["confidence"]
+    assert np.array_equal(carried, np.where(sure, confidence[record], 0))
+    assert f"{np.count_nonzero(~sure):,} points keep their class" in summary.record.notices[0]
+    assert summary.counts.n_changed == np.count_nonzero(sure)
+
+
 def test_raw_text_and_shuffled_tiles_with_a_fifth_removed(drive: Drive, tmp_path: Path) -> None:
     record = drive.registered()
     summary = run(tmp_path, drive, record)

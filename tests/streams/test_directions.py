@@ -12,6 +12,8 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.streams.angle_step import measure_step
 from prc_cli.streams.angles import column_angles, find_angle_grid
+from prc_cli.streams.directions import turn_evenly
+from prc_cli.streams.down import NoDirectionError, wrap
 
 
 def sweeps(n_lines: int, m: int, step_deg: float = 1.0) -> tuple[F64, I64]:
@@ -24,6 +26,27 @@ def test_columns_that_were_not_seen_continue_the_angles() -> None:
     column = np.arange(2, 8)
     angles = column_angles(0.1 * column, column, 10)
     np.testing.assert_allclose(angles, 0.1 * np.arange(10), atol=1e-12)
+
+
+@pytest.mark.parametrize("seam", [0, 100, 350])
+def test_columns_turn_evenly_but_for_a_sector_that_is_not_measured(seam: int) -> None:
+    """288 degrees in 360 columns: the rest lies before a column of the line."""
+    every = np.arange(360)
+    truth = np.deg2rad(0.8 * ((every - seam) % 360) + 50.0)
+    hidden = np.isin(every, [7, 8, 200, *range(seam - 4, seam + 4)])
+    column = every[~hidden]
+    beam, is_straight = turn_evenly(column, wrap(truth[column]), np.ones(len(column)), 360)
+    assert is_straight
+    np.testing.assert_allclose(wrap(beam - truth), 0.0, atol=1e-9)
+    angles = column_angles(np.tile(truth[column], 2), np.tile(column, 2), 360)
+    assert angles is not None
+    np.testing.assert_allclose(wrap(angles - truth), 0.0, atol=1e-9)
+
+
+def test_directions_that_turn_several_times_in_a_line_are_refused() -> None:
+    column = np.arange(0, 360, 2)
+    with pytest.raises(NoDirectionError, match=r"4\.97 turns|5\.0 turns"):
+        turn_evenly(column, wrap(np.deg2rad(5.0) * column), np.ones(180), 360)
 
 
 @pytest.mark.parametrize("step_deg", [1e-310, 1e-9, 3.5e-5])

@@ -13,6 +13,7 @@ import pytest
 
 from prc_cli.core.classes import Label
 from prc_cli.core.types import F32, F64, U8, Mask
+from prc_cli.methods.fused.thresholds import Foliage
 from tests.methods.fused.street_lines import (
     BEAM,
     BUILDING,
@@ -175,3 +176,9 @@ def test_rooms_have_no_cars(street: tuple[F32, U8]) -> None:
     near = np.where(ranges < 5.8, ranges, np.float32(np.nan))
     assert not (classified(near) == Label.CAR).any()
     assert (classified(near, room_m=0.0)[hit & ~np.isnan(near)] == Label.CAR).mean() > 0.3
+
+
+def test_columns_far_apart_are_looked_at_again_whatever_their_smooth_pairs() -> None:
+    foliage = Foliage(depth_m=2.0, depth_pairs=3, depth_step_rad=0.25)
+    assert [foliage.thresholds(0.5, step) for step in (0.2, 0.25)] == [(0.5, 2, 3), (0.5, 2, 0)]
+    assert foliage._replace(at_depth=False).thresholds(0.5, 0.2) == (0, 2, 3)

@@ -13,14 +13,16 @@ from hypothesis import strategies as st
 
 from prc_cli.config import load_config
 from prc_cli.core.classes import Label
-from prc_cli.core.findings import LABEL_CHECKS, Finding, Verdict
+from prc_cli.core.findings import LABEL_CHECKS, ORDER_CHECKS, Finding, Verdict
 from prc_cli.core.stream import LabelledBlock, ScanBlock, cut
 from prc_cli.core.types import F32, F64, U8
+from prc_cli.formats.options import InputConfig
 from prc_cli.methods.base import UsualLabels
 from prc_cli.streams.evidence.result import (
     MAX_SCANNERS,
     ResultWatch,
 )
+from prc_cli.streams.evidence.watch import accepted_by
 from tests.methods.fused.street_lines import BEAM, street_lines
 
 NO_EXTRA = np.empty(0, np.uint8)
@@ -224,3 +226,9 @@ def test_each_check_says_what_it_measured(
     finding = asked(range_m, labels, usual=usual)[check]
     assert (finding.verdict, finding.found) == (verdict, measured)
     assert asked(*street(512), usual=usual)[check].found != measured
+
+
+def test_an_order_that_is_trusted_accepts_its_doubts() -> None:
+    assert accepted_by(InputConfig(accept_doubts=("path",))) == ("path",)
+    trusted = InputConfig(accept_doubts=("path",), order="trust")
+    assert accepted_by(trusted) == ("path", *ORDER_CHECKS)

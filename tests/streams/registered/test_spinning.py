@@ -14,6 +14,7 @@ from prc_cli.streams.registered.spinning import (
     scan_piece,
 )
 from prc_cli.streams.registered.spinning_rate import NoScan, find_turn_hz
+from prc_cli.streams.registered.spinning_rings import RING_BIN_RAD, _ring_bins, _ring_density
 from tests.streams.registered.spinning_clouds import Cloud, spinning_cloud
 
 EVEN = np.arange(-15.0, 16.0, 2.0)
@@ -88,3 +89,14 @@ def test_uneven_times_have_no_firings() -> None:
     rng = np.random.default_rng(4)
     time_s = np.sort(rng.random(20_000))
     assert find_firings(time_s, np.arange(20_000) % 4, np.zeros(4), 10.0) is None
+
+
+def test_the_density_of_points_is_a_bell_around_each() -> None:
+    elevation = np.array([-0.3, -0.3, 0.4])
+    density = _ring_density(elevation, 10.0 * RING_BIN_RAD)
+    low, _, high = _ring_bins(elevation)
+    off = np.arange(-40, 41)
+    bell = np.exp(-0.5 * (off / 10.0) ** 2)
+    np.testing.assert_allclose(density[low + off], 2.0 * bell)
+    np.testing.assert_allclose(density[high + off], bell)
+    assert density.sum() == pytest.approx(3.0 * bell.sum())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.open import open_input
+from prc_cli.streams.registered.evidence import PathFigures, judge
+from prc_cli.streams.registered.resection import masked_median
 from prc_cli.streams.registered.scanner_paths import scanner_paths
 from prc_cli.streams.registered.spinning_drive import _PassCounts, judge_rings
 from tests.formats.builders import of_points, write_csv
@@ -69,3 +72,42 @@ def test_a_path_reaches_from_the_first_point_to_the_last() -> None:
 def test_rings_that_points_lie_between_are_doubted_then_refused() -> None:
     verdicts = [judge_rings(share).verdict for share in (0.99, 0.8, 0.4)]
     assert verdicts == [Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST]
+
+
+def test_medians_of_rows_leave_out_what_has_no_weight() -> None:
+    values = np.array([[5.0, 1.0, 9.0, 2.0], [4.0, 3.0, 2.0, 1.0], [7.0, 0.0, 0.0, 0.0], [8.0] * 4])
+    weight = np.array([[1, 1, 1, 0], [0.5, 2, 1, 3], [1, 0, 0, 0], [0] * 4], np.float64)
+    # of an even number the lower one
+    assert masked_median(values, weight).tolist() == [5.0, 2.0, 7.0, np.inf]
+
+
+SOUND = PathFigures(
+    *(0.0, 60.0, 600.0, 10.0, 12.0, 0.01, 0.95, 1.0, 0.0, 0.02, 0.05),
+    *(100.0, 100.0, 1e5, 1000, 2.0, (0.0, 60.0)),
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "problem"),
+    [
+        ("residual_m", (0.03, 0.031, 0.16), "m off their beams"),
+        ("share_on_beam", (0.81, 0.79, 0.39), "are on no beam"),
+        ("share_in_front", (0.98, 0.96, 0.69), "are behind the scanner"),
+        ("top_speed_m_s", (45.0, 45.1, 91.0), "the scanner moves at"),
+        ("share_bridged", (0.2, 0.21, 0.91), "do not show the place"),
+        ("share_holes", (0.15, 0.16, 0.76), "are empty"),
+        ("n_unplaced", (10, 11, 501), "no path fits"),
+    ],
+)
+def test_figures_of_a_path_are_fine_then_doubted_then_refused(
+    name: str, values: tuple[float, float, float], problem: str
+) -> None:
+    verdicts = (Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST)
+    for value, verdict in zip(values, verdicts, strict=True):
+        n_unplaced = int(value) if name == "n_unplaced" else 0
+        passed = SOUND if n_unplaced else replace(SOUND, start_s=7.0, **{name: value})
+        (finding,) = judge("a.las", [SOUND, passed], n_unplaced, 1000)
+        assert finding.verdict is verdict
+        if verdict is not Verdict.FINE:
+            assert problem in finding.problem
+            assert finding.problem.startswith("7.0 s: ") != bool(n_unplaced)
