@@ -123,8 +123,10 @@ def test_confidence_divides_the_classes() -> None:
     labels = some_labels()
     sure = np.where(np.arange(labels.size) % 5 == 0, SURE - 1, SURE).astype(np.uint8)
     drawn = drawn_from(labels, [0], sure=sure)
-    assert [(stratum.predicted, stratum.low) for stratum in drawn.strata] == [
-        (name, low) for name in ("ground", "building", "curb") for low in (0, SURE)
+    assert [(stratum.predicted, stratum.low, stratum.high) for stratum in drawn.strata] == [
+        (name, *bounds)
+        for name in ("ground", "building", "curb")
+        for bounds in ((0, SURE - 1), (SURE, 100))
     ]
     for place in drawn.places:
         assert (sure[place.record] >= SURE) == (drawn.strata[place.stratum].low == SURE)

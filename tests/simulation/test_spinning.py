@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,8 @@ from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import ConfigError, OutputExistsError
 from prc_cli.jobs.simulate import Beside, simulate
 from prc_cli.simulation.scanners import SCANNERS
-from prc_cli.simulation.settings import load_settings, open_simulation
+from prc_cli.simulation.settings import _with_room_to_stop, load_settings, open_simulation
+from prc_cli.simulation.trajectory import MOTIONS, MotionParams
 
 COARSE = {"name": "vlp-32c", "azimuth_step_deg": 3.0, "line_hz": 1200.0}
 """120 firings a turn, ten turns a second."""
@@ -101,3 +103,13 @@ def test_what_is_refused(tmp_path: Path) -> None:
 def test_senseless_values_are_refused(values: dict[str, object]) -> None:
     with pytest.raises(ValidationError):
         SCANNERS["photon-80"].changed(**values)
+
+
+def test_stops_are_as_far_apart_as_braking_needs() -> None:
+    car = MOTIONS["car"].model_dump()
+    none = {**car, "stop_every_m": 0.0}
+    far = {**car, "stop_every_m": 5000.0}
+    assert _with_room_to_stop(none) == none
+    assert _with_room_to_stop(far) == far
+    fast = _with_room_to_stop({**car, "speed_m_s": 30.0, "stop_every_m": 5.0})
+    assert fast["stop_every_m"] == math.ceil(MotionParams(**fast).braking_m / 0.3)

@@ -23,7 +23,7 @@ from prc_cli.jobs.batch.configs import BatchConfig
 from prc_cli.jobs.batch.discovery import Patterns, discover
 from prc_cli.jobs.batch.journal import Entry, State
 from prc_cli.jobs.batch.outcomes import Done, Failed, InputPrint, Problem
-from prc_cli.jobs.batch.plan import Plan, make_plan
+from prc_cli.jobs.batch.plan import Estimate, Plan, estimate, make_plan
 from prc_cli.jobs.batch.types import OWN_FOLDER, BatchSettings, ConfigLayers
 from tests.patience import HANGS_S
 
@@ -200,7 +200,19 @@ def test_every_file_has_its_own_trajectory(tmp_path: Path) -> None:
     assert BatchConfig(layers).of("night/a.1.laz", drive)[1] != first
 
 
-# -- estimates
+def test_effort_is_that_of_earlier_files_of_the_format(settings: BatchSettings) -> None:
+    todo = plan_of(settings).todo
+    nothing = Estimate(None, None, ("npz: nothing known",), 2)
+    done = entry(settings, "a.npz")
+    assert estimate(todo, {"a.laz": done}, 2) == nothing
+    source = "npz: from 1 earlier file of this archive"
+    # both files have the size of the earlier one, which took two seconds
+    assert estimate(todo, {"z.npz": done}, 1) == Estimate(6.0, 100.0, (source,), 0)
+    assert estimate(todo, {"z.npz": done}, 3) == Estimate(4.0, 200.0, (source,), 0)
+    known = {"y.npz": replace(done, config_sha256="of another"), "z.npz": done}
+    assert estimate(todo, known, 1).sources == (source,)
+    del known["z.npz"]
+    assert estimate(todo, known, 1).sources == (f"{source}, of another configuration",)
 
 
 def put(path: Path, content: bytes = b"x") -> Path:
