@@ -101,6 +101,7 @@ def test_the_log_tells_every_event_with_exact_names(office: tuple[Path, Path]) -
     lines = [line for line in lines if line["process"] == lines[0]["process"]]
     events = [line["event"] for line in lines]
     assert (events[0], events[1], events[-1]) == ("run_start", "plan", "run_end")
+    assert {line["shard"] for line in lines} == {None}
     assert events.count("file_start") == 3
     assert {line["name"] for line in lines if line["event"] == "file_done"} == {"drive.npz", ODD}
     failed = next(line for line in lines if line["event"] == "file_failed")

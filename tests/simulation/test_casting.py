@@ -9,6 +9,7 @@ import pytest
 
 from prc_cli.core.classes import Label
 from prc_cli.core.types import F64
+from prc_cli.simulation.casting_loops import _sort
 from prc_cli.simulation.sensor import cast
 from prc_cli.simulation.thresholds import Hits
 from prc_cli.simulation.world import Bodies, Shape
@@ -189,3 +190,15 @@ def test_the_loop_reads_the_labels_that_are_meant() -> None:
     from prc_cli.simulation import sensor_loops as loops
 
     assert (loops.LABEL_MISSING, loops.LABEL_NOISE) == (Label.MISSING, Label.NOISE)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 3, 8, 40])
+def test_rows_are_sorted_by_their_keys(n: int) -> None:
+    rng = np.random.default_rng(n)
+    keys = rng.integers(0, 20, (40, 3)).astype(np.float64)
+    before = rng.permutation(40)
+    rows = before.copy()
+    _sort(keys, rows, n)
+    assert (np.diff(keys[rows[:n], 2]) >= 0).all()
+    assert sorted(rows[:n]) == sorted(before[:n])
+    assert rows[n:].tolist() == before[n:].tolist()

@@ -187,6 +187,20 @@ def test_evidence_of_streams_is_put_together_by_lines() -> None:
     assert alone is evidences[0]
 
 
+@pytest.mark.parametrize(
+    ("first", "every", "n_lines"), [(0, 1, 5), (1, 2, 4), (2, 3, 90), (5, 8, 9)]
+)
+def test_lines_beyond_the_window_are_the_outermost_of_the_stream(
+    first: int, every: int, n_lines: int
+) -> None:
+    begin = pipeline.SPACED_LINES + first
+    there = np.arange(begin % every, n_lines + 2 * pipeline.SPACED_LINES, every)
+    n = len(range(first, n_lines, every))
+    wanted = begin + every * np.arange(-pipeline.MARGIN_LINES, n + pipeline.MARGIN_LINES)
+    nearest = there[np.abs(there[:, None] - wanted).argmin(axis=0)]
+    np.testing.assert_array_equal(pipeline._rows_of_stream(first, every, n_lines), nearest)
+
+
 def test_stages_and_loops_agree_on_what_lies_around_a_block() -> None:
     assert plane.INNER_LINES == fused_neighbours.LINES
     assert plane.WIDE_LINES == fused_strips.LINES == fused_texture.LINES

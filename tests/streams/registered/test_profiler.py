@@ -8,6 +8,7 @@ import pytest
 from prc_cli.streams.registered import path, rotation
 from prc_cli.streams.registered.along import turning_along
 from prc_cli.streams.registered.fit import fit_track, read_clock
+from prc_cli.streams.registered.rotation import pieces_between
 from prc_cli.streams.registered.scan import make_scan
 from tests.streams.registered.corridor import (
     CORNER_M,
@@ -64,3 +65,17 @@ def test_selected_inversion_is_the_inverse() -> None:
         np.testing.assert_allclose(
             blocks[k], inverse[6 * k : 6 * k + 6, 6 * k : 6 * k + 6], atol=1e-10
         )
+
+
+def test_pieces_are_even_points_about_their_middle_and_first() -> None:
+    time_s = 7.0 + 0.5 * np.arange(100.0)
+    xyz_m = np.stack([time_s, -time_s, time_s**2], axis=1)
+    pieces = pieces_between(time_s, xyz_m, np.array([0, 20, 40]), np.array([12, 22, 40]), 4)
+    assert pieces.weight.tolist() == [[1, 1, 1, 1], [1, 1, 0, 0], [0, 0, 0, 0]]
+    chosen = np.array([1, 4, 7, 10])
+    middle_s = 0.5 * (time_s[1] + time_s[11])
+    assert pieces.middle_s[0] == middle_s
+    np.testing.assert_array_equal(pieces.time_s[0], time_s[chosen] - middle_s)
+    np.testing.assert_array_equal(pieces.first_m[0], xyz_m[1])
+    np.testing.assert_array_equal(pieces.xyz_m[0], xyz_m[chosen] - xyz_m[1])
+    np.testing.assert_array_equal(pieces.time_s[1, :2], [-0.25, 0.25])
