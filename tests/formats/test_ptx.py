@@ -197,6 +197,14 @@ def test_a_file_that_lies_is_refused_in_one_line(
         assert part in message
 
 
+def test_a_window_of_lines_is_taken_from_every_scan(tmp_path: Path) -> None:
+    text = 2 * ptx_scan(grid_points(9, 7)) + ptx_scan(grid_points(5, 7))
+    path = write_text(tmp_path / "a.ptx", text)
+    blocks = open_input(Input.of(path), InputConfig(only_lines="4:6")).blocks()
+    taken = [(block.scanner, block.first_line, block.n_lines) for block in blocks]
+    assert taken == [(0, 4, 2), (1, 4, 2), (2, 4, 1)]
+
+
 def test_a_file_that_shrinks_while_it_is_read_is_an_error(tmp_path: Path) -> None:
     path = write_text(tmp_path / "a.ptx", GOOD)
     stream = PtxStream(path, AUTO)
