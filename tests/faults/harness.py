@@ -110,11 +110,9 @@ def make_archive(folder: Path, names: Sequence[str] = NAMES) -> Archive:
         )
         raw.unlink()
     before = time.monotonic()
-    run = Batch(inputs, folder / "undisturbed", config)
-    code, said = run.end()
-    assert code == 0, said
-    seconds = time.monotonic() - before
-    archive = Archive(inputs, config, tree(folder / "undisturbed"), seconds)
+    out = folder / "undisturbed"
+    Batch(Archive(inputs, config, {}, 0.0), out).ends(0)
+    archive = Archive(inputs, config, tree(out), time.monotonic() - before)
     assert len(archive.whole) == 2 * len(names), sorted(archive.whole)
     return archive
 
@@ -136,9 +134,8 @@ class Batch:
 
     def __init__(
         self,
-        archive: Path,
+        archive: Archive,
         out: Path,
-        config: Path | None,
         *options: str,
         jobs: int = 2,
         plain_user: bool = False,
@@ -146,7 +143,6 @@ class Batch:
     ) -> None:
         self.out = out
         self._mark = secrets.token_hex(8)
-        words = [] if config is None else ["--config", str(config)]
         self.process = patience.popen(
             [
                 sys.executable,
@@ -154,11 +150,7 @@ class Batch:
                 "-m",
                 "prc_cli",
                 "batch",
-                str(archive),
-                str(out),
-                "--jobs",
-                str(jobs),
-                *words,
+                *map(str, (archive.folder, out, "--jobs", jobs, "--config", archive.config)),
                 *options,
             ],
             stdout=subprocess.PIPE,
@@ -230,6 +222,13 @@ class Batch:
             message = f"the run hangs; it said: {said}"
             raise AssertionError(message) from None
         return self.process.returncode, said
+
+    def ends(self, code: int) -> str:
+        """Wait for the end with an exit code; return what was printed."""
+        ended, said = self.end()
+        assert ended == code, said
+        assert "Traceback" not in said
+        return said
 
     def wait_until_gone(self) -> float:
         """Wait until no process of the run is left; return how long that took [s]."""
@@ -337,6 +336,12 @@ def check_whole(archive: Archive, out: Path) -> None:
     files = set((out / OWN_FOLDER).rglob("*")) - known_to_clean
     left = {path.name for path in files if not path.name.endswith(("-wal", "-shm"))}
     assert left <= {"journal.sqlite", "command.json"}, left
+
+
+def resume(archive: Archive, out: Path) -> None:
+    """Run to the end, which is that of an undisturbed run."""
+    Batch(archive, out).ends(0)
+    check_whole(archive, out)
 
 
 def moments(

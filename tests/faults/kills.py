@@ -31,6 +31,7 @@ from tests.faults.harness import (
     make_archive,
     moments,
     parts,
+    resume,
 )
 from tests.faults.machines import Machines
 
@@ -65,9 +66,7 @@ def kill_many(
                     or sum(tally.kills.values()) >= n_kills
                 ):
                     break
-        code, said = Batch(archive.folder, out, archive.config).end()
-        assert code == 0, said
-        check_whole(archive, out)
+        resume(archive, out)
         tally.resumed_to_the_end += 1
         if tell:
             sys.stderr.write(f"{sum(tally.kills.values())} of {n_kills}: {tally}\n")
@@ -89,7 +88,7 @@ def _kill_one(
     if machines is not None:
         machines.start()
         options = ("--scheduler", machines.address)
-    batch = Batch(archive.folder, out, archive.config, *options, jobs=rng.choice([1, 2, 2, 3]))
+    batch = Batch(archive, out, *options, jobs=rng.choice([1, 2, 2, 3]))
     for _ in moments(rng, archive, out, batch):
         struck = {
             "everything": batch.strike_all,
@@ -100,8 +99,7 @@ def _kill_one(
             "scheduler": lambda: machines is not None and machines.strike_scheduler(batch),
         }[kind]()
     if kind == "worker" or not struck:
-        code, said = batch.end()
-        assert code == 0, said
+        batch.ends(0)
         batch.wait_until_gone()
         check_whole(archive, out)
     else:

@@ -18,11 +18,11 @@ from tests.faults.harness import (
     Batch,
     check_known,
     check_nothing_half,
-    check_whole,
     fresh,
     hooked,
     make_archive,
     part_of,
+    resume,
 )
 
 NAMES = ("2026/day 1/drive.npz", "2026/day 2/drive.laz")
@@ -46,7 +46,7 @@ def run_to(archive: Archive, out: Path, strike: Strike) -> tuple[Batch, int]:
     counter.unlink(missing_ok=True)
     variable = "PRC_FAULTS_NAMES" if strike.names else "PRC_FAULTS_STEPS"
     environment = hooked(variable, f"{out}|{counter}|{strike.step}|{strike.victims}")
-    batch = Batch(archive.folder, out, archive.config, jobs=1, environment=environment)
+    batch = Batch(archive, out, jobs=1, environment=environment)
     code, said = batch.end()
     # the guard of the process that did the work lives on and tells
     assert code in (-9, 0) or (code == 1 and "was ended by signal 9" in said), (
@@ -61,9 +61,7 @@ def strike_step(archive: Archive, out: Path, strike: Strike) -> str:
     batch, _ = run_to(archive, fresh(out), strike)
     check_nothing_half(archive, out)
     check_known(archive, out)
-    resumed, said = Batch(archive.folder, out, archive.config, jobs=1).end()
-    assert resumed == 0, f"{strike}: {said}"
-    check_whole(archive, out)
+    resume(archive, out)
     return "worker killed, the run went on" if batch.process.returncode == 0 else "killed"
 
 

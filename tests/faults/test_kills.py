@@ -26,6 +26,7 @@ from tests.faults.harness import (
     hooked,
     part_of,
     parts,
+    resume,
 )
 from tests.faults.kills import kill_many
 from tests.faults.step_kills import Strike, strike_step
@@ -49,8 +50,7 @@ def test_some_kills(few: Archive, tmp_path: Path) -> None:
     batch = run_into(few, out, FAST[2:], jobs=1)
     assert batch.strike_worker(random.Random(3))
     release(out)
-    code, said = batch.end()
-    assert code == 0, said
+    batch.ends(0)
     check_whole(few, out)
 
 
@@ -105,7 +105,7 @@ def run_into(
         "PRC_FAULTS_HOLD",
         os.pathsep.join([str(_release(out)), *(str(archive.folder / n) for n in names)]),
     )
-    batch = Batch(archive.folder, out, archive.config, *options, jobs=jobs, environment=hold)
+    batch = Batch(archive, out, *options, jobs=jobs, environment=hold)
     wait_until(lambda: all(path.exists() for path in held) or batch.process.poll() is not None)
     return batch
 
@@ -156,83 +156,23 @@ def test_a_signal_ends_the_run_within_seconds(
     if n_times == 1:
         assert [run.exit_code for run in read_runs(out / OWN_FOLDER)] == [code]
         assert {entry.state for entry in known(out)} <= {"done", "running"}
-    code, said = Batch(few.folder, out, few.config).end()
-    assert code == 0, said
-    check_whole(few, out)
+    resume(few, out)
 
 
 @pytest.mark.long
 def test_a_closed_terminal_leaves_no_worker(few: Archive, tmp_path: Path) -> None:
     batch = run_into(few, tmp_path / "out", FAST[1:])
     batch.strike(signal.SIGHUP)
-    code, said = batch.end()
-    assert code == 128 + signal.SIGHUP, said
+    batch.ends(128 + signal.SIGHUP)
     batch.wait_until_gone()
     check_nothing_half(few, tmp_path / "out")
-    code, said = Batch(few.folder, tmp_path / "out", few.config).end()
-    assert code == 0, said
-    check_whole(few, tmp_path / "out")
-
-
-@pytest.mark.long
-def test_a_file_that_kills_every_worker_costs_itself_alone(
-    few: Archive, archive: Archive, tmp_path: Path
-) -> None:
-    """As the system does where memory is short: whoever works on the long file is killed."""
-    long = "2026/day 3/long.laz"
-    both = part_of(archive, few.folder, [*FAST, long])
-    out = tmp_path / "out"
-    batch = Batch(both.folder, out, both.config, jobs=1)
-    n_killed = 0
-    while batch.process.poll() is None:
-        if any(path.name.startswith(".long.laz") for path in parts(out)):
-            n_killed += batch.strike_worker(random.Random(1))
-        time.sleep(0.005)
-    code, said = batch.end()
-    assert code == 1, said
-    assert n_killed >= 2
-    (line,) = [
-        line
-        for line in said.splitlines()
-        if "failed" in line and "long.laz" in line and "again" not in line
-    ]
-    assert "SIGKILL" in line
-    assert "memory" in line
-    check_nothing_half(both, out)
-    assert {name: entry.state for name, entry in entries(out).items() if entry.state != "done"} == {
-        long: "failed"
-    }
-    code, said = Batch(both.folder, out, both.config).end()
-    assert code == 0, said
-    assert parts(out) == []
-    assert entries(out)[long].state == "done"
-
-
-@pytest.mark.long
-def test_a_worker_that_hangs_is_given_up(few: Archive, tmp_path: Path) -> None:
-    """As on a network share that does not answer.
-
-    Tests/jobs/batch/test_local.py has the quick cases.
-    """
-    out = tmp_path / "out"
-    code, said = run_into(few, out, FAST[2:], "--stall", "20", jobs=1).end()
-    assert code == 1, said
-    assert [
-        line
-        for line in said.splitlines()
-        if "failed" in line and "no progress for 20 s, given up" in line
-    ], said
-    check_nothing_half(few, out)
-    assert sorted(entry.state for entry in known(out)) == ["done", "done", "failed"]
-    code, said = Batch(few.folder, out, few.config).end()
-    assert code == 0, said
-    check_whole(few, out)
+    resume(few, tmp_path / "out")
 
 
 @pytest.mark.long
 def test_two_runs_at_once_do_no_harm(few: Archive, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    runs = [Batch(few.folder, out, few.config, jobs=1) for _ in range(2)]
+    runs = [Batch(few, out, jobs=1) for _ in range(2)]
     ended = sorted(run.end() for run in runs)
     assert [code for code, _ in ended] == [0, 5] or [code for code, _ in ended] == [0, 0], ended
     if ended[1][0] == 5:
@@ -250,22 +190,16 @@ def test_shards_side_by_side_and_killed_end_with_the_same_bytes(
 ) -> None:
     out = tmp_path / "out"
     for _ in range(2):
-        runs = [
-            Batch(archive.folder, out, archive.config, "--shard", f"{i}/3", jobs=1)
-            for i in (1, 2, 3)
-        ]
+        runs = [Batch(archive, out, "--shard", f"{i}/3", jobs=1) for i in (1, 2, 3)]
         time.sleep(archive.seconds / 2)
         runs[1].strike_all()
         for run in runs:
             run.process.communicate()
-    runs = [
-        Batch(archive.folder, out, archive.config, "--shard", f"{i}/3", jobs=1) for i in (1, 2, 3)
-    ]
+    runs = [Batch(archive, out, "--shard", f"{i}/3", jobs=1) for i in (1, 2, 3)]
     assert [run.end()[0] for run in runs] == [0, 0, 0]
     assert {entry.state for entry in known(out)} == {"done"}
     # the whole archive knows what the shards did
-    code, said = Batch(archive.folder, out, archive.config).end()
-    assert code == 0, said
+    Batch(archive, out).ends(0)
     assert {entry.name for entry in known(out)} == archive.names
     check_nothing_half(archive, out)
     assert parts(out) == []
