@@ -22,7 +22,7 @@ def forest(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from prc_cli.jobs.simulate import Beside, simulate
     from prc_cli.simulation.settings import load_settings
 
-    options = {"lines": 200, "sight_m": 25.0, "seed": 930, "scanner": {"points_per_line": 1424}}
+    options = {"lines": 120, "sight_m": 25.0, "seed": 930, "scanner": {"points_per_line": 1424}}
     simulate(
         "forest",
         folder / "walk.laz",
@@ -42,7 +42,7 @@ def test_stems_are_where_the_simulator_has_them(prc: Prc, forest: Path) -> None:
         f"objects {forest}/walk.laz --preset fused-forest -o {forest}/o.csv --overwrite",
     )
     assert result.code == 0, result.err
-    assert "stems in 200 lines" in result.err
+    assert "stems in 120 lines" in result.err
     listed = rows((forest / "o.csv").read_text())
     assert list(listed[0]) == list(COLUMNS)
     assert [int(row["id"]) for row in listed] == list(range(len(listed)))
@@ -59,7 +59,7 @@ def test_stems_are_where_the_simulator_has_them(prc: Prc, forest: Path) -> None:
 
 @pytest.mark.slow
 def test_every_form_holds_the_same(prc: Prc, forest: Path) -> None:
-    command = ("objects", forest / "walk.laz", "--preset", "fused-forest", "-q")
+    command = ("objects", forest / "walk.laz", "-q")
     printed = rows(prc(*command).out)
     for suffix in (".csv", ".geojson", ".parquet"):
         assert prc(*command, "-o", forest / f"e{suffix}").code == 0

@@ -137,7 +137,7 @@ class Batch:
         archive: Archive,
         out: Path,
         *options: str,
-        jobs: int = 2,
+        jobs: int = 1,
         plain_user: bool = False,
         environment: Mapping[str, str] | None = None,
     ) -> None:
