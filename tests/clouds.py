@@ -1,4 +1,4 @@
-"""LAS and LAZ files that tests of several folders write."""
+"""Points, and LAS and LAZ files of them, for tests of several folders."""
 
 from __future__ import annotations
 
@@ -9,6 +9,13 @@ import laspy
 import numpy as np
 
 from prc_cli.core.types import F64
+
+
+def seen(length: Any, azimuth: Any, elevation: Any) -> F64:
+    """Coordinates from lengths [m] and angles [rad], (..., 3) [m]; azimuths turn to the left."""
+    flat = length * np.cos(elevation)
+    xyz = flat * np.cos(azimuth), flat * np.sin(azimuth), length * np.sin(elevation)
+    return np.stack(np.broadcast_arrays(*xyz), axis=-1)
 
 
 def write_las(

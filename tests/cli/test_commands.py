@@ -26,6 +26,7 @@ from prc_cli.methods.reasons import rule_of
 from prc_cli.simulation.scanners import SCANNERS
 from tests import patience
 from tests.cli.conftest import Prc
+from tests.clouds import seen
 from tests.jobs.test_transfer import Drive, N, write_las
 from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.patience import wait_until
@@ -433,8 +434,7 @@ def frame_xyz() -> np.ndarray:
         20.0 / np.cos(elevation),
         np.where(elevation < 0, 1.7 / np.sin(np.maximum(-elevation, 1e-3)), 99),
     )
-    flat = distance * np.cos(elevation)
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)])
+    return seen(distance, azimuth, elevation).T
 
 
 def test_options_of_simulate_win_over_set_and_file(prc: Prc, tmp_path: Path) -> None:

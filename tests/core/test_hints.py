@@ -17,6 +17,7 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.hints import fitting, named_keys
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.open import open_input
+from tests.clouds import seen
 from tests.formats.bags import recordings as made
 from tests.formats.bags.test_times import messages
 from tests.fuzz.seeds import seed
@@ -65,14 +66,8 @@ def make_frame(path: Path) -> Path:
     azimuth = np.tile(np.linspace(0, 2 * np.pi, 400, endpoint=False), 16)
     elevation = np.repeat(np.deg2rad(np.linspace(2, -24, 16)), 400)
     range_m = np.random.default_rng(2).uniform(5, 6, 6400)
-    flat = range_m * np.cos(elevation)
-    xyz = [
-        flat * np.cos(azimuth),
-        flat * np.sin(azimuth),
-        range_m * np.sin(elevation),
-        np.ones(6400),
-    ]
-    np.stack(xyz, axis=1).astype("<f4").tofile(path)
+    xyz = seen(range_m, azimuth, elevation)
+    np.hstack([xyz, np.ones((6400, 1))]).astype("<f4").tofile(path)
     return path
 
 

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from pye57 import libe57
 
+from tests.clouds import seen
+
 Array = np.ndarray[Any, Any]
 
 
@@ -29,9 +31,7 @@ def grid_points(
     elevation = np.linspace(-0.8, 0.9, m)[None, :]
     length = rng.uniform(2, 40, (n_lines, m))
     points = np.empty((n_lines, m, 4))
-    points[..., 0] = length * np.cos(elevation) * np.cos(azimuth)
-    points[..., 1] = length * np.cos(elevation) * np.sin(azimuth)
-    points[..., 2] = length * np.sin(elevation)
+    points[..., :3] = seen(length, azimuth, elevation)
     points[..., 3] = rng.uniform(0, 1, (n_lines, m))
     points = points.round(4)
     points[rng.uniform(size=(n_lines, m)) < missing] = (0, 0, 0, 0.5)

@@ -21,6 +21,7 @@ from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.raw_binary.read import RawBinarySource
 from prc_cli.formats.records import Source
 from prc_cli.formats.text.read import TextSource
+from tests.clouds import seen
 
 
 def layout(*fields: dict[str, Any], **keys: Any) -> Layout:
@@ -146,10 +147,7 @@ def _frame(n_fields: int) -> np.ndarray:
     ring = np.repeat(np.arange(16), 400)
     elevation = np.deg2rad(2.0 - 1.7 * ring)
     range_m = np.random.default_rng(2).uniform(5, 6, len(ring))
-    flat = range_m * np.cos(elevation)
-    x = flat * np.cos(azimuth)
-    y = flat * np.sin(azimuth)
-    columns = [x, y, range_m * np.sin(elevation), 0.1 * ring, ring, azimuth]
+    columns = [*seen(range_m, azimuth, elevation).T, 0.1 * ring, ring, azimuth]
     return np.stack(columns[:n_fields], axis=1).astype("<f4")
 
 

@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
+from tests.clouds import seen
 from tests.formats import cloud_files
 from tests.formats.bags import recordings as made
 from tests.formats.organised_files import Scan, e57_fields, grid_points, ptx_scan, write_e57
@@ -420,10 +421,9 @@ def _frame() -> dict[str, np.ndarray]:
     column, ring = np.divmod(np.arange(360 * 8), 8)
     azimuth = np.deg2rad(column)
     elevation = np.deg2rad(ring * 2.0 - 10)
+    xyz = seen(9.0, azimuth, elevation).astype("f4")
     return {
-        "x": (9 * np.cos(azimuth) * np.cos(elevation)).astype("f4"),
-        "y": (9 * np.sin(azimuth) * np.cos(elevation)).astype("f4"),
-        "z": (9 * np.sin(elevation)).astype("f4"),
+        **dict(zip("xyz", xyz.T, strict=True)),
         "t": (column * 1000).astype("u4"),
         "ring": ring.astype("u1"),
         "range": np.full(len(ring), 9000, "u4"),

@@ -17,6 +17,7 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.jobs import info
 from prc_cli.jobs.info import inspect
 from prc_cli.streams.open import open_input
+from tests.clouds import seen
 from tests.formats.organised_files import ptx_scan, write_text
 from tests.streams.evidence.test_estimates import drive
 
@@ -26,9 +27,8 @@ def upright(n_lines: int = 5, m: int = 40) -> np.ndarray:
     azimuth = np.deg2rad(10.0 * np.arange(n_lines))[:, None]
     elevation = np.deg2rad(np.linspace(-60, 60, m))[None]
     length = 8.0 + 3.0 * np.sin(elevation)
-    flat = length * np.cos(elevation)
-    xyz = [flat * np.cos(azimuth), flat * np.sin(azimuth), length * np.sin(elevation) + 0 * azimuth]
-    return np.stack([*xyz, np.full((n_lines, m), 0.5)], axis=-1)
+    xyz = seen(length, azimuth, elevation)
+    return np.concatenate([xyz, np.full((n_lines, m, 1), 0.5)], axis=-1)
 
 
 def test_a_later_scan_that_is_refused_is_the_verdict(tmp_path: Path) -> None:

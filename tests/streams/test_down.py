@@ -8,6 +8,7 @@ import pytest
 from prc_cli.core.types import F64, I64
 from prc_cli.streams.directions import fit_beams
 from prc_cli.streams.down import NoDirectionError, fit_heights
+from tests.clouds import seen
 from tests.streams.beam_lines import GEOMETRIES, is_strictly_monotone, lines, worst_deg
 
 
@@ -53,13 +54,8 @@ def room(n_lines: int = 120) -> F64:
     """Vertical lines of a scanner in the middle of a round room, 2 m above its floor."""
     elevation = np.deg2rad(np.linspace(-60, 60, 200))
     azimuth = np.deg2rad(np.arange(n_lines, dtype=float))[:, None]
-    length = (
-        np.minimum(2 / np.sin(np.maximum(-elevation, 1e-3)), 15 / np.cos(elevation)) + 0 * azimuth
-    )
-    flat = length * np.cos(elevation)
-    return np.stack(
-        [flat * np.cos(azimuth), flat * np.sin(azimuth), length * np.sin(elevation)], axis=-1
-    )
+    length = np.minimum(2 / np.sin(np.maximum(-elevation, 1e-3)), 15 / np.cos(elevation))
+    return seen(length, azimuth, elevation)
 
 
 @pytest.mark.parametrize(

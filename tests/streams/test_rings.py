@@ -18,6 +18,7 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.streams import rings
 from prc_cli.streams.open import open_input
 from prc_cli.streams.rings import open_rings
+from tests.clouds import seen
 from tests.streams.record_lists import MemorySource, Whole, read
 
 N_RINGS = 16
@@ -47,9 +48,7 @@ def frame(
     # a long gap in every ring, and a ring that begins late
     keep &= ~((line > 100) & (line < 130)) & ~((ring == 5) & (line < 40))
     records = {
-        "x": range_m * np.cos(elevation) * np.cos(azimuth),
-        "y": range_m * np.cos(elevation) * np.sin(azimuth),
-        "z": range_m * np.sin(elevation),
+        **dict(zip("xyz", seen(range_m, azimuth, elevation).T, strict=True)),
         "intensity": rng.uniform(0, 1, len(line)).astype(np.float32),
     }
     return (

@@ -15,6 +15,7 @@ from prc_cli.formats.arrays.read import ArrayStream
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.filters import ordered
 from prc_cli.streams.stream import Stream
+from tests.clouds import seen
 
 AUTO = InputConfig()
 
@@ -67,9 +68,7 @@ def test_rows_that_are_rings_are_exchanged(
     elevation = np.deg2rad(np.linspace(-25, 2, 16))
     azimuth = np.linspace(0, 2 * np.pi, 90)
     ranges = (np.arange(16 * 90).reshape(16, 90) / 100 + 2).astype(np.float32)
-    flat = ranges * np.cos(elevation)[:, None]
-    height = ranges * np.sin(elevation)[:, None]
-    xyz = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), height], axis=-1)
+    xyz = seen(ranges, azimuth, elevation[:, None])
     beside = {"xyz": {"xyz": xyz}, "angles": {"zenith_deg": 90 - np.rad2deg(elevation)}, "M": {}}
     arrays = {"range_m": ranges, "intensity": 2 * ranges, **beside[clue]}
     path = tmp_path / "a.npz"

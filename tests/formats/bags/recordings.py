@@ -15,6 +15,8 @@ from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.typesys import Stores, get_typestore
 
+from tests.clouds import seen
+
 N_LINES = 12
 M = 40
 PERIOD_NS = 20_000_000
@@ -248,9 +250,7 @@ def drive(n: int = 300, *, together: bool = False) -> dict[str, np.ndarray]:
     time_s = COLUMN_S * column + (0.0 if together else 5e-5) * order[ring]
     azimuth = time_s * 2 * np.pi / 0.1
     elevation = np.deg2rad(-14 + 4 * ring)
-    flat = range_m * np.cos(elevation)
-    xyz = [flat * np.cos(azimuth), -flat * np.sin(azimuth), range_m * np.sin(elevation)]
-    xyz_m = np.stack(xyz, axis=1)
+    xyz_m = seen(range_m, -azimuth, elevation)
     return {"column": column, "ring": ring, "range": range_m, "xyz": xyz_m, "time": time_s}
 
 

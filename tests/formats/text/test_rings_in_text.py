@@ -11,6 +11,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.open import open_input
+from tests.clouds import seen
 from tests.formats.builders import of_points, write_csv
 
 
@@ -20,9 +21,8 @@ def points(n_turns: int) -> dict[str, np.ndarray]:
     azimuth = np.deg2rad(column + 0.25)
     elevation = np.deg2rad(2.0 * ring - 15)
     range_m = 8 + np.sin(3 * azimuth)
-    flat = range_m * np.cos(elevation)
-    xyz = np.stack([flat * np.cos(azimuth), -flat * np.sin(azimuth), range_m * np.sin(elevation)])
-    return {**of_points(xyz.T), "ring": ring, "time": column / 3600 + ring * 2e-6}
+    xyz = seen(range_m, -azimuth, elevation)
+    return {**of_points(xyz), "ring": ring, "time": column / 3600 + ring * 2e-6}
 
 
 def test_several_turns_are_named_and_the_hint_reads_them(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F64
 from prc_cli.streams.evidence.cones import ConeSample, check_cones
 from prc_cli.streams.evidence.figures import Seen
+from tests.clouds import seen
 
 N_LINES = 400
 N_RINGS = 32
@@ -21,10 +22,7 @@ def ring_shots(width_deg: float) -> F64:
     azimuth = np.deg2rad(np.linspace(-width_deg / 2, width_deg / 2, N_LINES))[:, None]
     elevation = np.deg2rad(np.linspace(-25.0, 5.0, N_RINGS))
     range_m = np.random.default_rng(5).uniform(4.0, 30.0, (N_LINES, N_RINGS))
-    flat = range_m * np.cos(elevation)
-    return np.stack(
-        [flat * np.cos(azimuth), flat * np.sin(azimuth), range_m * np.sin(elevation)], axis=-1
-    )
+    return seen(range_m, azimuth, elevation)
 
 
 def asked(xyz_m: F64, *, has_rings: bool = True) -> Finding | None:

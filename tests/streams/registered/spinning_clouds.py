@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from prc_cli.core.types import F64, I64
+from tests.clouds import seen
 
 TURN_HZ = 10.0
 FIRING_HZ = 3000.0
@@ -106,14 +107,7 @@ def spinning_cloud(
     time_s = (firing + DUTY * ring / n_rings) / FIRING_HZ
     azimuth = sense * (2.0 * np.pi * TURN_HZ * time_s + np.radians(ahead_deg)[ring])
     elevation = np.radians(elevation_deg)[ring]
-    beam = np.stack(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ],
-        axis=1,
-    )
+    beam = seen(1.0, azimuth, elevation)
     direction = (frame(time_s, np.radians(tilt_deg)) @ beam[:, :, None])[:, :, 0]
     origin = station(time_s)
     range_m = _nearest(origin, direction)
