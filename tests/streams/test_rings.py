@@ -158,7 +158,7 @@ def test_any_records_become_a_frame_or_are_refused_in_one_line() -> None:
     rng = np.random.default_rng(9)
     n_read = 0
     refusals = []
-    for _ in range(150):
+    for _ in range(60):
         n = int(rng.integers(0, 400))
         n_turns = float(rng.uniform(0, 9))
         azimuth = np.linspace(0, 2 * np.pi * n_turns, n) + rng.normal(
@@ -177,7 +177,7 @@ def test_any_records_become_a_frame_or_are_refused_in_one_line() -> None:
         n_missing = np.count_nonzero(np.isnan(xyz).any(axis=1))
         n_in_cells = np.count_nonzero(whole.record >= 0)
         assert n_in_cells + len(whole.extras) + whole.tally.n_unplaced + n_missing == n
-    assert min(n_read, len(refusals)) > 20
+    assert min(n_read, len(refusals)) > 8
     assert not any("\n" in message for message in refusals)
 
 

@@ -15,7 +15,7 @@ from prc_cli.core.types import F64, I64
 from tests.formats.builders import of_points, write_csv, write_las
 
 LINES_HZ = 50.0
-SHOTS_HZ = 20_000.0
+SHOTS_HZ = 12_000.0
 DURATION_S = 4.0
 HEIGHT_M = 2.1
 LEFT_M = 4.0
