@@ -25,11 +25,11 @@ needs_locks = pytest.mark.skipif(os.name == "nt", reason="no file locks on this 
 
 LOAD = """
 from prc_cli.core import compiling
-from prc_cli.core.loops import load_loops, loops_of
-from prc_cli.methods.sequential_angle import labels_loops
+from prc_cli.core.loops import load_loops
+from prc_cli.methods.sequential_angle.labels_loops import first_high_verticals
 compiling.PATIENCE_S = 600.0
-load_loops(loops_of(labels_loops))
-print(sum(labels_loops.first_high_verticals.load().stats.cache_misses.values()))
+load_loops([first_high_verticals])
+print(sum(first_high_verticals.load().stats.cache_misses.values()))
 """
 
 
@@ -42,11 +42,11 @@ def python(code: str, folder: Path) -> subprocess.Popen[str]:
 
 @needs_compiler
 @needs_locks
-def test_of_four_processes_on_an_empty_cache_one_compiles(tmp_path: Path) -> None:
-    started = [python(LOAD, tmp_path) for _ in range(4)]
+def test_of_three_processes_on_an_empty_cache_one_compiles(tmp_path: Path) -> None:
+    started = [python(LOAD, tmp_path) for _ in range(3)]
     outputs = [process.communicate()[0] for process in started]
-    assert [process.returncode for process in started] == [0] * 4
-    assert sorted(outputs) == ["0\n", "0\n", "0\n", "1\n"]
+    assert [process.returncode for process in started] == [0] * 3
+    assert sorted(outputs) == ["0\n", "0\n", "1\n"]
 
 
 @needs_locks
@@ -78,7 +78,7 @@ def test_no_lock_can_be_made(tmp_path: Path) -> None:
         pass
 
 
-LOOPS = loops_of(labels_loops)
+LOOPS = loops_of(labels_loops)[:3]
 
 
 @pytest.fixture

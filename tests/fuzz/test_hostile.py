@@ -37,7 +37,7 @@ from tests.fuzz.server import DONE, Server
 
 pytestmark = pytest.mark.slow
 
-EXAMPLES = int(os.environ.get("HYPOTHESIS_EXAMPLES", "6"))
+EXAMPLES = int(os.environ.get("HYPOTHESIS_EXAMPLES", "4"))
 """Damaged files for each target."""
 
 
