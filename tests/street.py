@@ -79,7 +79,7 @@ def write_endless(path: Path) -> Path:
     A larger hole is refused as a copy that never ended.
     """
     n_lines = 530_000
-    n_shots = 2000
+    n_shots = 800
     with path.open("wb") as handle:
         if path.suffix == ".npy":
             about = {"descr": "<f4", "fortran_order": False, "shape": (n_lines, n_shots)}

@@ -166,7 +166,7 @@ def test_ctrl_c_in_mid_run_ends_it_within_seconds(tmp_path: Path, threads: str) 
     source = write_endless(tmp_path / "drive.bin")
     out = tmp_path / "out"
     out.mkdir()
-    words = f"classify {source} {out}/labels.npy -M 2000 -q --preset prc-2019-urban"
+    words = f"classify {source} {out}/labels.npy -M 800 -q --preset prc-2019-urban"
     command = [sys.executable, "-m", "prc_cli", *words.split(), "--threads", threads]
     with patience.start(command, stderr=subprocess.PIPE, text=True) as run:
         # the run is in its midst when labels are there

@@ -269,7 +269,7 @@ def test_what_a_dead_worker_left_is_removed_with_the_outcome(cluster: Any, tmp_p
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 def test_worker_killed_in_mid_run(tmp_path: Path, quiet: None) -> None:
     """Separately started scheduler and workers; one is killed while it has a file."""
-    lines = {"first.npy": 20_000, **{f"{i}.npy": 300 for i in range(4)}, "last.npy": 2400}
+    lines = {"first.npy": 10_000, **{f"{i}.npy": 300 for i in range(4)}, "last.npy": 2400}
     tasks = tasks_in(tmp_path, lines, m=100)
     owner: dict[str, str] = {}
     killed: list[str] = []

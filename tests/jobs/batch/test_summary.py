@@ -25,6 +25,7 @@ from prc_cli.jobs.batch.report import BatchSummary, write_summary
 from prc_cli.jobs.batch.run import run_batch
 from prc_cli.jobs.batch.types import BatchSettings, ConfigLayers, ReferenceSettings, Shard
 from prc_cli.jobs.classify import classify_ranges
+from tests.jobs.batch.test_run import Scripted, work
 from tests.street import street, write_npz
 
 
@@ -98,7 +99,7 @@ def settings(tmp_path: Path) -> BatchSettings:
 
 @pytest.mark.slow
 def test_a_night_is_told_beside_those_before(settings: BatchSettings) -> None:
-    summary = run_batch(settings)
+    summary = run_batch(settings, Scripted(work))
     assert summary.evaluation is not None
     page = (settings.out / "report.html").read_text(encoding="utf-8")
     # the worst file comes first, with its pictures
@@ -108,7 +109,7 @@ def test_a_night_is_told_beside_those_before(settings: BatchSettings) -> None:
     assert "2 files classified" in page
     assert "badge failed" in page
     assert "<h2>Nights</h2>" not in page
-    run_batch(settings)
+    run_batch(settings, Scripted(work))
     page = (settings.out / "report.html").read_text(encoding="utf-8")
     assert "0 files classified, 2 done before" in page
     assert "<h2>Nights</h2>" in page
@@ -117,7 +118,7 @@ def test_a_night_is_told_beside_those_before(settings: BatchSettings) -> None:
     assert nights[0]["f1"] == nights[1]["f1"]
     # a damaged file of nights begins anew
     (settings.out / ".prc" / "nights.json").write_text("[")
-    run_batch(settings)
+    run_batch(settings, Scripted(work))
     assert len(json.loads((settings.out / ".prc" / "nights.json").read_text(encoding="utf-8"))) == 1
 
 
