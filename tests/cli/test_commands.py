@@ -40,25 +40,6 @@ from tests.street import (
 )
 
 
-def test_options_reach_the_classifier(prc: Prc, tmp_path: Path) -> None:
-    source = write_raw(tmp_path / "drive.bin", street())
-    layout = tmp_path / "layout.toml"
-    layout.write_text('[layout]\nfields = [{name = "range", type = "f4"}]\n')
-    options = "--set prc.support.zeta_p=0.25 --set output.segment_ids=true"
-    options += f" --set input.max_range=80 --layout {layout} -M {POINTS_PER_LINE}"
-    result = prc(f"classify {source} {tmp_path}/out.las --json -q {options}")
-    config = json.loads(result.out)["config"]
-    assert config["prc"]["support"]["zeta_p"] == 0.25
-    assert config["output"]["segment_ids"] is True
-    assert config["input"]["max_range"] == 80
-    assert config["layout"]["fields"] == [
-        {"name": "range", "type": "f4", "scale": 1.0, "offset": 0.0, "unit": ""}
-    ]
-    las = laspy.read(tmp_path / "out.las")
-    assert las["segment_id"].max() > 1
-    assert las["range"].max() <= 80
-
-
 @pytest.mark.parametrize("options", [(), ("-M", POINTS_PER_LINE - 1), ("-M", 7)])
 def test_info_types_the_m_that_it_found(
     prc: Prc, tmp_path: Path, options: tuple[object, ...]
@@ -171,16 +152,6 @@ def test_what_takes_long_is_explained(
     monkeypatch.setattr(report, "COMPILING_S", 0.0)
     with report.compiling_note(quiet=False):
         wait_until(lambda: "compiles it" in capsys.readouterr().err)
-
-
-def test_a_guess_is_in_the_run_record(prc: Prc, tmp_path: Path) -> None:
-    angle_deg = np.rad2deg(BEAM) + 40.0
-    np.savez(tmp_path / "drive.npz", range_m=street_lines(60)[0], angle_deg=angle_deg)
-    assert prc(f"classify {tmp_path}/drive.npz {tmp_path}/o.npy --preset fused -q").code in (0, 4)
-    record = json.loads((tmp_path / "o.npy.prc.json").read_text())
-    (guess,) = [item for item in record["assumptions"] if item["key"] == "input.nadir"]
-    assert float(guess["value"].split()[0]) == pytest.approx(40.0, abs=1.0)
-    assert "ground" in guess["why"]
 
 
 def test_a_trajectory_starts_where_it_was_named(

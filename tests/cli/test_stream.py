@@ -8,13 +8,10 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
-import numpy as np
 import pytest
 
 from tests import patience
-from tests.cli.conftest import Prc
 from tests.patience import HANGS_S
 from tests.street import POINTS_PER_LINE, street
 
@@ -42,17 +39,6 @@ def take(process: subprocess.Popen[bytes], n_bytes: int) -> bytes:
         assert ready, "no labels come"
         received += os.read(process.stdout.fileno(), 1 << 16)
     return received
-
-
-def test_the_bytes_of_classify(prc: Prc, tmp_path: Path) -> None:
-    data = street().tobytes()
-    code, out, err = run(data, *URBAN, "--set", "layout.line_frequency=48")
-    assert code == 0, err
-    (tmp_path / "drive.bin").write_bytes(data)
-    assert prc(f"classify {tmp_path}/drive.bin {tmp_path}/labels.npy -q", *URBAN).code == 0
-    assert out == np.load(tmp_path / "labels.npy").tobytes()
-    assert "137 lines" in err
-    assert "x real time" in err
 
 
 @pytest.mark.slow

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from itertools import combinations
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from prc_cli.core.classes import (
     Label,
     Reason,
 )
+from prc_cli.core.config import samples_folder
 from prc_cli.core.types import F64
 
 
@@ -117,3 +120,11 @@ def test_every_reason_has_one_label_and_a_number_of_its_own() -> None:
     for label, reasons in REASONS_OF_LABELS.items():
         numbers = [*reasons, VOTED + label, FURTHER_RETURN + label]
         assert LABELS_BY_REASON[numbers].tolist() == [label] * len(numbers)
+
+
+def test_styles_of_viewers_hold_every_code() -> None:
+    codes = {ClassCodes().code(label) for label in Label} | {0, 18}
+    style = ElementTree.parse(samples_folder() / "viewers/prc_classes.qml").getroot()
+    assert {int(category.get("value", "-1")) for category in style.iter("category")} == codes
+    script = (samples_folder() / "viewers/prc_classes_potree.js").read_text(encoding="utf-8")
+    assert {int(code) for code in re.findall(r"^ +(\d+):", script, re.MULTILINE)} == codes

@@ -35,7 +35,6 @@ from tests.patience import dead_process
 
 pytestmark = pytest.mark.slow
 
-LONG = "2026/day 3/long.laz"
 FIRST = "2026/day 1/drive.npz"
 LAST = "rückweg.las"
 """The files are begun in the order of their names."""

@@ -14,7 +14,7 @@ import pytest
 import prc_cli
 from prc_cli.cli import main
 from prc_cli.config import load_config
-from prc_cli.core.errors import EvidenceError, InputError, OutputExistsError
+from prc_cli.core.errors import EvidenceError, InputError
 from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.core.loops import ENGINES
 from prc_cli.core.stream import ExtraReturns, ReadTally
@@ -28,27 +28,6 @@ from tests.messages import folded
 from tests.street import POINTS_PER_LINE, street, write_npz, write_raw
 
 WITH_M = {"input": {"points_per_line": POINTS_PER_LINE}}
-
-
-def test_outputs_are_not_overwritten_and_failures_leave_nothing(tmp_path: Path) -> None:
-    source = write_raw(tmp_path / "drive.bin", street())
-    output = tmp_path / "out" / "labels.npy"
-    output.parent.mkdir()
-    loaded = load_config(options=WITH_M)
-    classify(source, output, loaded)
-    before = output.read_bytes()
-    with pytest.raises(OutputExistsError):
-        classify(source, output, loaded)
-    classify(source, output, loaded, overwrite=True)
-    assert output.read_bytes() == before
-    assert sorted(os.listdir(output.parent)) == ["labels.npy", "labels.npy.prc.json"]
-
-    def stop(n_lines: int) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        classify(source, output.with_name("other.npy"), loaded, progress=stop)
-    assert sorted(os.listdir(output.parent)) == ["labels.npy", "labels.npy.prc.json"]
 
 
 @pytest.mark.parametrize("change", ["longer", "edited in place"])

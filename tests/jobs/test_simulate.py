@@ -7,9 +7,11 @@ import tracemalloc
 from pathlib import Path
 from typing import Any
 
+import laspy
 import numpy as np
 import pytest
 
+from prc_cli.cli import cli
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import ConfigError
@@ -17,6 +19,7 @@ from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.jobs.classify import open_stream
 from prc_cli.jobs.simulate import Beside, simulate
 from prc_cli.simulation.settings import Kind, Settings, load_settings, open_simulation
+from tests.runner import runner
 
 SCANNER: dict[str, Any] = {"points_per_line": 240, "line_hz": 20.0}
 LINES = 70
@@ -176,3 +179,19 @@ def test_what_cannot_be_written_is_refused_first(
     with pytest.raises(ConfigError, match=said):
         simulate(kind, tmp_path / output, small(kind), beside=names)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("crs", ["", "EPSG:32635"])
+def test_a_simulated_cloud_carries_the_coordinate_system_that_it_announces(
+    tmp_path: Path, crs: str
+) -> None:
+    words = ["simulate", "street", str(tmp_path / "drive.laz"), "--lines", "2"]
+    result = runner().invoke(cli, [*words, *(["--set", f"frame.crs={crs}"] if crs else [])])
+    assert result.exit_code == 0
+    assert ("coordinates are those of" in result.stderr) == bool(crs)
+    with laspy.open(tmp_path / "drive.laz") as file:
+        header_crs = file.header.parse_crs()
+        # the flag says how a system would be written; point formats 6 to 10 must have it
+        assert file.header.global_encoding.wkt
+        assert abs(file.header.mins[1] - (6_671_000 if crs else 0)) < 2000
+    assert (header_crs.to_epsg() if header_crs else "") == (32635 if crs else "")

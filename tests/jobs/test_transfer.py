@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError, PrcError
 from prc_cli.jobs.transfer import TransferSummary, transfer
 from prc_cli.jobs.transfer.options import TransferOptions
-from tests.formats.las.lasbytes import parse
 
 N = 5000
 SHOT_S = 1e-5
@@ -147,56 +146,6 @@ def test_points_whose_labels_are_not_sure_keep_their_class(drive: Drive, tmp_pat
     assert np.array_equal(carried, np.where(sure, confidence[record], 0))
     assert f"{np.count_nonzero(~sure):,} points keep their class" in summary.record.notices[0]
     assert summary.counts.n_changed == np.count_nonzero(sure)
-
-
-def test_raw_text_and_shuffled_tiles_with_a_fifth_removed(drive: Drive, tmp_path: Path) -> None:
-    record = drive.registered()
-    summary = run(tmp_path, drive, record)
-    assert np.array_equal(codes_of(tmp_path / "out.las"), drive.codes[record])
-    counts = summary.counts
-    assert (counts.n_points, counts.n_matched, counts.n_labels) == (
-        len(record),
-        len(record),
-        len(drive),
-    )
-    assert counts.n_labels_matched == len(record)
-    assert counts.n_repeated == counts.n_shared == counts.n_other_return == 0
-    assert counts.n_changed == np.count_nonzero(drive.codes[record] != 0)
-
-
-@pytest.mark.parametrize(("form", "suffix"), [(1, ".las"), (3, ".laz"), (6, ".laz"), (7, ".las")])
-def test_everything_else_stays_bit_for_bit(
-    drive: Drive,
-    tmp_path: Path,
-    form: int,
-    suffix: str,
-) -> None:
-    record = drive.registered()
-    raw = write_raw(tmp_path / "drive.csv", drive)
-    source = write_las(
-        tmp_path / f"registered{suffix}",
-        drive,
-        record,
-        form=form,
-        codes=12,
-        mine=np.arange(len(record)),
-    )
-    with source.open("ab") as handle:
-        handle.write(b"bytes behind the points")
-    output = tmp_path / f"out{suffix}"
-    transfer(raw.with_suffix(".npy"), source, output, points=raw)
-    old = parse(source)
-    new = parse(output)
-    class_byte = 16 if form >= 6 else 15
-    mask = 0xFF if form >= 6 else 0x1F
-    assert np.array_equal(new.records[:, class_byte] & mask, drive.codes[record])
-    assert np.array_equal(
-        new.records[:, class_byte] & (0xFF ^ mask), old.records[:, class_byte] & (0xFF ^ mask)
-    )
-    new.records[:, class_byte] = old.records[:, class_byte]
-    assert np.array_equal(new.records, old.records)
-    assert new.kept_vlrs() == old.kept_vlrs()
-    assert new.tail == old.tail
 
 
 def test_points_without_partner_keep_their_class(drive: Drive, tmp_path: Path) -> None:

@@ -35,14 +35,13 @@ ALIKE = 0.01
 
 
 def test_1_an_unknown_laz_is_classified_by_what_info_says(prc: Shell) -> None:
-    prc = Shell(prc.here, installed=True)
+    installed = Shell(prc.here, installed=True)
     prc(f"prc simulate street drive.laz -q {STREET}")
-    command = prc("prc info drive.laz").command("type")
-    said = prc(command)
-    prc(said.command("draw it"))
+    said = installed(installed("prc info drive.laz").command("type"))
+    installed(said.command("draw it"))
     assert (prc.here / "drive_classified.png").read_bytes()[:4] == b"\x89PNG"
     f1 = prc.f1("drive_classified.laz", "drive.laz")
-    assert prc(said.command("compare it").replace("REFERENCE", "drive.laz")).out
+    assert installed(said.command("compare it").replace("REFERENCE", "drive.laz")).out
     prc("prc classify drive.npz best.npy -q --preset fused")
     best = prc.f1("best.npy", "drive.npz")
     for name in CLASSES:
@@ -261,7 +260,7 @@ def test_13_a_registered_tile_is_the_stream_that_it_was(prc: Shell) -> None:
 
     Each by what info says, and all of them as one drive.
     """
-    prc(f"prc simulate street drive.laz -q {STREET}")
+    prc(f"prc simulate street drive.laz -q {STREET} --lines 300")
     truth = laspy.read(prc.here / "drive.laz")
     (prc.here / "tiles").mkdir()
     rows = tiles_of(truth, prc.here / "tiles")

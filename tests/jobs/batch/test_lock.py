@@ -291,19 +291,3 @@ def test_a_pipe_in_the_place_of_the_owner_stops_nobody(tmp_path: Path) -> None:
     with Lock(folder) as lock:
         lock.check()
     assert not (folder / "lock.json").exists()
-
-
-@pytest.mark.slow
-def test_the_lock_of_a_killed_process_is_free_at_once(folder: Path) -> None:
-    with held_by_another_process(folder) as process:
-        assert line_of(process) == "held"
-        with pytest.raises(BusyError, match=f"process {process.pid}"), Lock(folder):
-            pass
-        process.kill()
-        # not asked for its exit code yet: the lock does not wait for that
-        wait_until(lambda: not holders(folder)[0].alive)
-        with Lock(folder) as lock:
-            assert lock.inherited_from is not None
-            assert lock.inherited_from.pid == process.pid
-            lock.check()
-    assert os.listdir(folder) == []

@@ -18,7 +18,7 @@ from prc_cli.jobs.batch import run as batch_run
 from prc_cli.jobs.batch.engine import EngineSettings, Event, Started
 from prc_cli.jobs.batch.journal import read_entries, read_runs
 from prc_cli.jobs.batch.lock import Lock
-from prc_cli.jobs.batch.outcomes import Done, Doubted, Failed, InputPrint, Outcome, Problem
+from prc_cli.jobs.batch.outcomes import Done, Failed, InputPrint, Outcome, Problem
 from prc_cli.jobs.batch.outputs import verify_outputs
 from prc_cli.jobs.batch.run import Again, RunEvent, run_batch
 from prc_cli.jobs.batch.types import (
@@ -246,32 +246,6 @@ def test_nothing_is_made_when_something_is_wrong(
         run_batch(replace(settings, **changes[wrong]), Scripted())
     assert sorted(path.name for path in tmp_path.iterdir()) == ["in"]
     assert len(list(settings.archive.iterdir())) == 4
-
-
-def test_doubts_reach_journal_and_summary_and_are_told_once(settings: BatchSettings) -> None:
-    odd = Finding("units", Verdict.DOUBTFUL, "the scanner is 9 m up", "at most 5 m").notice()
-
-    def doubtful(task: Task, attempt: int) -> Outcome:
-        return replace(finished(task), notices=("a note", odd) if task.name == "b.npz" else ())
-
-    events: list[RunEvent] = []
-    summary = run_batch(settings, Scripted(doubtful), events.append)
-    expected = Doubted("b.npz", "units", odd.removeprefix("doubt "))
-    assert summary.doubts == (expected,)
-    assert [event for event in events if isinstance(event, Doubted)] == [expected]
-    assert (summary.exit_code, summary.n_doubted) == (4, 1)
-    table = json.loads((settings.out / "summary.json").read_bytes())
-    assert (table["counts"]["doubted"], table["doubt_counts"], table["exit_code"]) == (
-        1,
-        {"units": 1},
-        4,
-    )
-    last = read_runs(settings.out / OWN_FOLDER)[-1]
-    assert (last.exit_code, dict(last.totals)["doubted"]) == (4, 1)
-    known = {entry.name: entry.outcome for entry in read_entries(settings.out / OWN_FOLDER)}
-    outcome = known["b.npz"]
-    assert isinstance(outcome, Done)
-    assert outcome.doubts == (expected,)
 
 
 def test_the_exit_code_is_that_of_the_archive(settings: BatchSettings) -> None:
