@@ -76,15 +76,16 @@ class Weight:
 def weigh_text(text: str) -> Weight:
     """Weigh the source of one module."""
     tree = ast.parse(text)
-    in_docstrings = set(_docstring_lines(tree))
+    nodes = list(ast.walk(tree))
+    in_docstrings = set(_docstring_lines(nodes))
     tokens = [
         token
         for token in tokenize.generate_tokens(io.StringIO(text).readline)
         if token.type not in _LAYOUT and token.start[0] not in in_docstrings
     ]
     names = Counter(token.string for token in tokens if token.type == tokenize.NAME)
-    functions = [node for node in ast.walk(tree) if isinstance(node, _FUNCTIONS)]
-    assignments = [node for node in ast.walk(tree) if isinstance(node, ast.Assign)]
+    functions = [node for node in nodes if isinstance(node, _FUNCTIONS)]
+    assignments = [node for node in nodes if isinstance(node, ast.Assign)]
     return Weight(
         tokens=len(tokens),
         code_lines=len({token.start[0] for token in tokens}),
@@ -116,9 +117,9 @@ def together(rooms: dict[str, Weight]) -> Weight:
     return total
 
 
-def _docstring_lines(tree: ast.AST) -> Iterator[int]:
+def _docstring_lines(nodes: list[ast.AST]) -> Iterator[int]:
     """Lines of strings that stand alone: docstrings of functions, classes, modules, attributes."""
-    for node in ast.walk(tree):
+    for node in nodes:
         if (
             isinstance(node, ast.Expr)
             and isinstance(node.value, ast.Constant)

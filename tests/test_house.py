@@ -66,7 +66,8 @@ def nesting(node: ast.AST) -> int:
     """
     last = node.orelse if isinstance(node, ast.If) else []
     elifs = [child for child in last if isinstance(child, ast.If) and len(last) == 1]
-    inner = (child for child in ast.iter_child_nodes(node) if not isinstance(child, ast.expr))
+    blocks = (ast.stmt, ast.excepthandler, ast.match_case)
+    inner = (child for child in ast.iter_child_nodes(node) if isinstance(child, blocks))
     return max(
         (nesting(child) + (isinstance(child, COMPOUND) and child not in elifs) for child in inner),
         default=0,
