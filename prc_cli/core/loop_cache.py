@@ -30,6 +30,7 @@ SOURCES = (
     "core/classes.py",
     "core/types.py",
     "core/loops.py",
+    "core/parts.py",
 )
 """What compiled loops are made of."""
 
