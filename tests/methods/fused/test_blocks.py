@@ -163,23 +163,20 @@ def test_evidence_of_streams_is_put_together_by_lines() -> None:
 
     def evidence(first: int, every: int) -> Evidence:
         # a stream has two more lines before and after those of the block
-        lines = np.arange(first - 2 * every, 6 + 2 * every, every)
-        values = np.repeat(lines[:, None] + 10 * every, 3, axis=1)
-        near = Neighbours(*np.full((4, len(values), 3), values, np.uint8))
-        slots = FilledSlots(*np.full((2, len(values), 3), values, np.uint64))
-        walls = Walls(*np.full((3, len(values), 3), values, np.float32))
-        levels, kinds = np.full((2, len(values), 3), values, np.uint8)
-        strips = Strips(slots, walls, levels, kinds)
-        return Evidence(near, near.near, values.astype(np.float32), strips, 2)
+        lines = np.arange(first - 2 * every, 6 + 2 * every, every) + 10 * every
+        values = np.repeat(lines[:, None], 3, axis=1)
+        near, slots, walls = (
+            kind(*len(kind._fields) * [values]) for kind in (Neighbours, FilledSlots, Walls)
+        )
+        return Evidence(near, values, values, Strips(slots, walls, values, values), 2)
 
     streams = [Stream(first, every, None, None) for first, every in ((0, 1), (0, 2), (1, 2))]
     apart = np.array([1, 2, 2, 1, 2, 1])
     evidences = [evidence(stream.first, stream.every) for stream in streams]
     merged = pipeline._merge_evidence(evidences, np.zeros((6, 3), np.float32), streams, apart)
-    wanted = np.repeat(np.arange(6)[:, None] + 10 * apart[:, None], 3, axis=1)
+    wanted = np.repeat((np.arange(6) + 10 * apart)[:, None], 3, axis=1)
     strips = merged.strips
-    padded = [merged.texture, *strips.slots, *strips.walls, strips.levels, strips.kinds]
-    for values in padded:
+    for values in (merged.texture, *strips.slots, *strips.walls, strips.levels, strips.kinds):
         np.testing.assert_array_equal(values, np.pad(wanted, ((1, 1), (0, 0))))
     for values in merged.neighbours:
         np.testing.assert_array_equal(values, wanted)
