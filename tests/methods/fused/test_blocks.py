@@ -185,7 +185,7 @@ def test_evidence_of_streams_is_put_together_by_lines() -> None:
 
 
 @pytest.mark.parametrize(
-    ("first", "every", "n_lines"), [(0, 1, 5), (1, 2, 4), (2, 3, 90), (5, 8, 9)]
+    ("first", "every", "n_lines"), [(0, 1, 5), (1, 2, 4), (2, 3, 91), (5, 8, 11)]
 )
 def test_lines_beyond_the_window_are_the_outermost_of_the_stream(
     first: int, every: int, n_lines: int
