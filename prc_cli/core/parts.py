@@ -2,7 +2,7 @@
 
 Numba makes every function that a loop calls fast and turns it into machine code, and then does both
 again with the loop that it becomes a part of. Nothing but loops calls a helper, so that the first
-half of the work, a quarter of the time to compile everything, is for nothing.
+half of the work, a seventh of the time to compile everything, is for nothing.
 """
 
 from __future__ import annotations
