@@ -30,7 +30,6 @@ SOURCES = (
     "core/classes.py",
     "core/types.py",
     "core/loops.py",
-    "core/parts.py",
 )
 """What compiled loops are made of."""
 

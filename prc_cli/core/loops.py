@@ -157,10 +157,8 @@ class _Helper:
     def _dispatcher(self) -> Any:
         import numba
 
-        from prc_cli.core.parts import PartCompiler
-
         jit: Any = numba.njit
-        return jit(pipeline_class=PartCompiler, **self._options)(self.py_func)
+        return jit(**self._options)(self.py_func)
 
     @property
     def _numba_type_(self) -> Any:

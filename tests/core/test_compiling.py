@@ -12,7 +12,7 @@ import pytest
 from filelock import FileLock, Timeout
 
 from prc_cli.core import compiling, loop_cache
-from prc_cli.core.loops import _compile, helper, load_loops, loops_of
+from prc_cli.core.loops import load_loops, loops_of
 from prc_cli.methods.sequential_angle import labels_loops
 from tests import patience
 
@@ -117,20 +117,3 @@ def test_child_processes_compile_what_is_not_claimed(
     with compiling._children(2, [str(claims), *names]):
         pass
     assert [loop.is_compiled() for loop in LOOPS] == [False, *[True] * (len(LOOPS) - 1)]
-
-
-@helper
-def _twice(x: int) -> int:
-    return 2 * x
-
-
-def _four_times(x: int) -> int:
-    return _twice(_twice(x))
-
-
-@needs_compiler
-def test_a_helper_is_compiled_as_a_part_of_loops_alone() -> None:
-    assert _compile(_four_times)(3) == 12
-    (part,) = _twice._dispatcher.overloads.values()  # type: ignore[attr-defined]
-    machine = part.library.codegen._engine
-    assert not machine.is_symbol_defined(part.fndesc.llvm_func_name)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.loops import helper, inlined, loop
+from prc_cli.core.loops import helper, loop
 from prc_cli.core.types import F32, F32_2, I32, U8, U8_2
 from prc_cli.methods.fused.lists_loops import list_few
 from prc_cli.methods.fused.records import FiveLines
@@ -91,7 +91,7 @@ def _write_shares(
         shares[i] = share if (ranges[i] == ranges[i]) & (shots > 0) else np.float32(0.0)
 
 
-@inlined
+@helper
 def _share_at_depth(
     ranges: FiveLines,
     pairs: FiveLines,
