@@ -78,8 +78,8 @@ LEAF_REACH = 4
 """Slots up and down in which other leaves are looked for."""
 CAR_REACH = 6
 """Bins on either side in which level surfaces count."""
-BELOW_SMOOTH = 3
-"""With this many smooth pairs, a shot below the ground is no reflection."""
+SMOOTH_PAIRS = 3
+"""With so many smooth pairs, a shot is no leaf, nor a reflection below the ground."""
 GAP_SHOTS = 3
 """Lonely shots within a box."""
 
@@ -130,7 +130,7 @@ def _label_noise_and_ground(
         is_level = shot.level > shot.upright
         is_upright = shot.upright > shot.level + np.uint8(1)
         is_soil = off_m < limits.soil_m
-        is_far_below = (shot.above_m < -limits.below_m) & (shot.smooth < BELOW_SMOOTH)
+        is_far_below = (shot.above_m < -limits.below_m) & (shot.smooth < SMOOTH_PAIRS)
         is_side_of_pit = (shot.upright > 0) & (n_near >= limits.pit_near)
         is_in_wall = _is_in_wall(shot, place, limits)
         is_on_surface = (shot.near > 0) & (has_smooth_pair | is_soil | is_in_wall)
@@ -169,6 +169,7 @@ def _label_noise_and_ground(
         around.is_foliage[i] = is_foliage
         around.is_in_car[i] = is_in_car
         is_part = is_in_wall | (is_in_car & (shot.kind != THIN))
+        is_part |= around.is_leaf[i] & (not has_smooth_pair) & (shot.above_m > limits.arm_m)
         around.is_upright[i] = is_open & _may_be_upright(shot, place, is_part, limits)
 
 
@@ -292,7 +293,7 @@ def _is_far_behind_wall(
 def _may_be_upright(shot: Shot, place: Place, is_part: bool, limits: DecisionThresholds) -> bool:
     """Whether a shot is on a post, or on a smooth piece that is upright or high.
 
-    Pieces of walls and cars are part of these.
+    Pieces of walls, cars and twigs are part of these.
     """
     is_piece = (shot.kind != np.uint8(0)) & (shot.kind < SMALL)
     is_up = (shot.level == 0) | (shot.above_m > limits.arm_m)
@@ -328,19 +329,23 @@ def _look_for_leaves(
     limits: DecisionThresholds,
     around: Around,
 ) -> None:
-    """Find leaves around the lonely ones of some shots, and smooth places around the rough ones.
+    """Find leaves around some shots, and smooth places around the rough ones.
 
-    Far away, gaps between leaves are wider than the distance that counts as near.
+    Gaps between far leaves are wide, and what is behind a bare branch may be smooth.
     """
     for k in range(len(shots)):
         i = shots[k]
         shot = _shot(line, i)
-        if np.float32(shot.near) < limits.least_near:
+        is_low = shot.above_m < limits.box_m
+        most_near = limits.least_near if is_low else limits.leaf_near
+        if np.float32(shot.near) < most_near and shot.smooth < SMOOTH_PAIRS:
             place = _place(beside, i)
             if place.bin < BEYOND and shot.above_m > limits.foot_m:
                 n_slots = _slots_around(rough_slots[place.bin >> 1], _slot(shot.above_m))
-                is_free = not _is_in_wall(shot, place, limits)
-                around.is_leaf[i] = is_free and np.float32(n_slots) >= limits.leaf_slots
+                is_house = _is_on_house(shot, place, limits.roof_m, limits)
+                is_house |= _is_in_wall(shot, place, limits)
+                is_amid = np.float32(n_slots + shot.near) >= limits.leaf_slots
+                around.is_leaf[i] = is_amid and not is_house
         if line.smooth[i] == 0:
             first = max(i - int(half_widths[i]), 0)
             end = min(i + int(half_widths[i]) + 1, len(line.range_m))

@@ -10,7 +10,7 @@ from prc_cli.core.types import F32, F32_2, U8, U8_2
 from prc_cli.methods.fused.lists_loops import list_few
 from prc_cli.methods.fused.thresholds import LateLeafThresholds
 
-COLUMNS = 8
+COLUMNS = 16
 BESIDE_LINES = 1
 """Greatest distance of the shots around, in columns and lines."""
 _NOISE = int(Label.NOISE)

@@ -933,18 +933,18 @@ def label_further_returns(
 ) -> U8:
     """Label the further returns of the shots.
 
-    Light that passes a leaf meets other leaves, which may be isolated. Such returns are vegetation,
-    not noise, and so are those that have leaves beside them.
+    Light that passes a leaf meets other leaves, which may be isolated, as the first. Such returns
+    are vegetation, and so are those that have leaves beside them.
 
     Returns (n,) uint8.
 
     >>> import numpy as np
-    >>> image = np.array([[6.0, 6.1, 20.0]], dtype=np.float32)
-    >>> labels = np.array([[Label.VEGETATION, Label.VEGETATION, Label.BUILDING]], dtype=np.uint8)
-    >>> line, column = np.zeros(2, np.int32), np.array([0, 2], np.int32)
-    >>> further = line, column, np.array([9.0, 30.0], np.float32)
+    >>> image = np.array([[6.0, 20.0, 13.0]], np.float32)
+    >>> labels = np.array([[Label.VEGETATION, Label.BUILDING, Label.NOISE]], np.uint8)
+    >>> line, column = np.zeros(3, int), np.arange(3)
+    >>> further = line, column, np.array([9, 30, 40], np.float32)
     >>> [Label(label).name for label in label_further_returns(image, labels, *further, 0.3)]
-    ['VEGETATION', 'NOISE']
+    ['VEGETATION', 'NOISE', 'VEGETATION']
     """
     if not len(line):
         return np.empty(0, np.uint8)
@@ -952,6 +952,7 @@ def label_further_returns(
     known_m = np.where(labels == Label.NOISE, np.float32(np.nan), range_m)
     leaf_m = float(STREET.late_leaves.range_m)
     beside = label_extra_returns(known_m, labels, line, column, range_m_extra, leaf_m, leaf_m)
-    is_leaf = (labels[line, column] == Label.VEGETATION) | (beside == Label.VEGETATION)
+    is_leaf = np.isin(labels[line, column], (Label.VEGETATION, Label.NOISE))
+    is_leaf |= beside == Label.VEGETATION
     further[is_leaf & (further == Label.NOISE)] = Label.VEGETATION
     return further

@@ -242,7 +242,7 @@ class Around(NamedTuple):
     """What is around every shot of a line, (M,) bool each."""
 
     is_leaf: Mask
-    """Lonely, with rough shots at enough heights around, and not in a wall."""
+    """Few near it, rough shots at enough heights around, and no wall or facade."""
     is_amid_smooth: Mask
     """Everything around is smooth; known of shots without a smooth pair."""
     is_rough: Mask

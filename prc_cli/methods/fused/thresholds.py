@@ -233,13 +233,12 @@ class DecisionThresholds(NamedTuple):
     """Rough shots farther below the ground are noise [m] ..."""
     pit_near: np.float32 = f32(9)
     """... unless upright and with as many near neighbours: the side of a pit."""
+    leaf_near: np.float32 = f32(10)
+    """A leaf higher than boxes has fewer near neighbours than this ..."""
     leaf_slots: np.float32 = f32(4)
-    """Slots with rough shots around a lonely shot that make it a leaf."""
+    """... and, with the slots with rough shots around, at least so many."""
     lone_m: np.float32 = f32(5)
-    """Shots without any near neighbour are noise up to this range [m].
-
-    Farther ones may be leaves.
-    """
+    """Shots without any near neighbour are noise up to this range [m]."""
     walked_m: np.float32 = f32(0.3)
     """Shots that the walk went over are ground up to this height difference [m]."""
     level_m: np.float32 = f32(0.12)

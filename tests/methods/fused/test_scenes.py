@@ -49,6 +49,7 @@ ALL = 2**SLOTS - 1
 
 LONELY = {"near": 1, "smooth": 0, "upright": 0}
 ROUGH = {"smooth": 1, "texture": 0.1, "upright": 0}
+TWIG = {"near": 9, "smooth": 2, "above_m": 2.5}
 LEVEL = {"upright": 0, "level": 3}
 WALL_5M = {"wall_m": 5.0, "wall_top_m": 8.0, "wall_ahead_m": 5.0}
 WALL_3M = {"wall_m": 3.0, "wall_top_m": 8.0}
@@ -127,7 +128,7 @@ def reasons(
         (Reason.MISSING, {"range_m": np.nan, "above_m": np.nan, "near": 0}),
         (Reason.LONELY, {"near": 0, "smooth": 0}),
         (Reason.ISOLATED, LONELY),
-        (Reason.ISOLATED, {**LONELY, "rough_slots": 0b0000_0111}),  # three leaves are too few
+        (Reason.ISOLATED, {**LONELY, "rough_slots": 0b0000_0011}),  # two leaves are too few
         (Reason.SPIKE, {"smooth": 0, "around_smooth": 8}),
         (Reason.BELOW_GROUND, {**ROUGH, "above_m": -0.31}),
         # few shots near, but on a surface: it is no noise
@@ -171,7 +172,15 @@ def reasons(
         (Reason.SMOOTH, {**LORRY, "is_high": False, "above_m": 5.5}),
         # leaves and facades
         (Reason.FOLIAGE, ROUGH),
-        (Reason.LEAF, {**LONELY, "rough_slots": 0b0000_1111, "upright": 3}),
+        (Reason.LEAF, {**LONELY, "rough_slots": 0b0000_0111, "upright": 3}),
+        (Reason.LEAF, TWIG),
+        (Reason.SMOOTH, {**TWIG, "near": 10}),
+        (Reason.SMOOTH, {**TWIG, "above_m": 1.9}),
+        (Reason.SMOOTH, {**TWIG, "smooth": 3}),
+        (Reason.SMOOTH, {**TWIG, "near": 3, "rough_slots": 0}),
+        (Reason.SMOOTH, {**TWIG, **WALL_3M, "range_m": 8.9, "wall_top_m": 2.0}),  # a roof
+        (Reason.LEAF, {**TWIG, "smooth": 0, "kind": THIN, "above_m": 3.1}),
+        (Reason.POST, {**TWIG, "smooth": 0, "kind": THIN}),  # low, it may be the foot of a post
         (Reason.FACADE, {**ROUGH, **WALL_5M}),
         (Reason.FACADE, {**ROUGH, **WALL_5M, "range_m": 5.9}),  # seen through its window
         (Reason.FOLIAGE, {**ROUGH, **WALL_5M, "range_m": 4.5}),  # a bush before it
