@@ -53,6 +53,8 @@ MARGIN = 20
 """Lines of the window before and after the block."""
 BESIDE = 12
 """Lines before and after by which a pole is found to be thick."""
+TILT_M = np.float32(0.6)
+"""What goes away by more than this is no pole [m]."""
 BOX_ODD = 3
 """Consecutive lines that see something else than a box where it ends.
 
@@ -553,7 +555,7 @@ def _look_at_uprights(
         is_below_crown = np.float32(count_bits(above_slots)) >= limits.crown_slots
         around.is_below_crown[i] = is_below_crown
         around.is_thick[i] = not is_below_crown and (
-            is_round or _depth_m(window_m, row, i, side_m[i], limits) >= limits.thick_m
+            is_round or _is_thick(window_m, row, i, side_m[i], limits)
         )
 
 
@@ -600,21 +602,31 @@ def _round_run(
 
 
 @inlined
-def _depth_m(
+def _is_thick(
     window_m: F32, row: int, i: int, side_m: np.float32, limits: DecisionThresholds
-) -> np.float32:
-    """Return the depth to the side of the object that the lines around see at a shot [m]."""
-    least_m = most_m = window_m[row, i]
-    for way in (-1, 1):
-        last_m = window_m[row, i]
-        for k in range(1, BESIDE + 1):
-            range_m = window_m[row + way * k, i]
-            if not (abs(range_m - last_m) < limits.jump_m):
-                break
-            least_m = min(least_m, range_m)
-            most_m = max(most_m, range_m)
-            last_m = range_m
-    return np.float32((most_m - least_m) * (abs(side_m) / window_m[row, i]))
+) -> bool:
+    """Whether half a circle with a trunk's radius fits what the lines around see at a shot best.
+
+    A tilt changes no radius; what is tilted too much is no pole.
+    """
+    first = last = row
+    while row - first < BESIDE and abs(window_m[first - 1, i] - window_m[first, i]) < limits.jump_m:
+        first -= 1
+    while last - row < BESIDE and abs(window_m[last + 1, i] - window_m[last, i]) < limits.jump_m:
+        last += 1
+    across = abs(side_m) / window_m[row, i]
+    n = np.float32(last - first + 1)
+    nearer = farther_m = product = np.float32(0.0)
+    for k in range(first, last + 1):
+        place = np.float32(2 * (k - first) + 1) / n - np.float32(1.0)
+        front = np.sqrt(np.float32(1.0) - place * place)
+        nearer += front
+        farther_m += window_m[k, i]
+        product += front * window_m[k, i]
+    spread = n - (n - np.float32(1.0) / n) / np.float32(3.0) - nearer * nearer / n
+    is_round = (nearer * farther_m / n - product) * across >= limits.thick_m * spread
+    is_tilted = abs(window_m[last, i] - window_m[first, i]) * across > TILT_M
+    return bool(is_tilted | ((last - first > 1) & is_round))
 
 
 # What the lists read: shots, points, places, strips and cars

@@ -100,7 +100,7 @@ from prc_cli.methods.fused.spacing import (
     strides_of,
 )
 from prc_cli.methods.fused.strips import Strips, measure_strips
-from prc_cli.methods.fused.thresholds import STREET, Limits, in_room
+from prc_cli.methods.fused.thresholds import NEVER, STREET, Limits, in_room
 from prc_cli.methods.plane import Plane
 from prc_cli.methods.returns import label_extra_returns
 
@@ -109,11 +109,8 @@ FOREST_NOISE_M = 0.035
 
 Scanners in forests have 2 to 3 mm; 30 mm cost .03 of F1.
 """
-COARSE_THICK_M = np.float32(0.6)
-"""Least thickness of a trunk if columns are far apart [m].
-
-A slanted plane is 0.1 m farther on a post from line to line.
-"""
+FEW_RINGS = 48
+"""Fewer columns are rings: too far apart to follow a post over a missed shot."""
 OUTSIDE_LINES = SPACED_LINES - BESIDE_THIN_LINES - VOTE_LINES
 """Outermost lines of the window that no label depends on."""
 FOLLOWING_LINES = SPACED_LINES + fans_loops.LINES
@@ -251,11 +248,12 @@ class FusedScanner:
         """
         plane = ScanPlane.of(beam_rad)
         limits = STREET
-        if float(plane.step_rad) >= limits.foliage.depth_step_rad:
-            thick_m = max(limits.decision.thick_m, COARSE_THICK_M)
+        is_coarse = float(plane.step_rad) >= limits.foliage.depth_step_rad
+        if is_coarse and len(beam_rad) >= FEW_RINGS:
+            # the few lines on a post show no radius
             limits = limits._replace(
                 columns=limits.columns._replace(reach=np.float32(2)),
-                decision=limits.decision._replace(thick_m=thick_m),
+                decision=limits.decision._replace(thick_m=np.float32(NEVER)),
             )
         return cls(Plane.of(beam_rad), plane, limits)
 

@@ -282,8 +282,8 @@ class DecisionThresholds(NamedTuple):
     """Slots with rough shots above a pole that make it a trunk."""
     pole_shots: np.float32 = f32(6)
     """Fewest shots of its run."""
-    thick_m: np.float32 = f32(0.14)
-    """A thing is a trunk if its edges are farther than the middle of its front by this [m]."""
+    thick_m: np.float32 = f32(0.16)
+    """Least radius of a trunk [m]."""
     arm_m: np.float32 = f32(3)
     """Above this height level pieces may be poles: arms and lamps [m]."""
     box_m: np.float32 = f32(2)

@@ -13,6 +13,7 @@ import pytest
 
 from prc_cli.core.classes import Label
 from prc_cli.core.types import F32, F64, U8, Mask
+from prc_cli.methods.fused.pipeline import FusedScanner
 from prc_cli.methods.fused.thresholds import Foliage
 from tests.methods.fused.street_lines import (
     BEAM,
@@ -117,6 +118,12 @@ def test_a_post_goes_on_beyond_single_shots_that_miss_it(street: tuple[F32, U8])
     assert not (classified(ranges, columns={"reach": 1})[20, seen] == Label.POLE).any()
 
 
+@pytest.mark.parametrize(("n_columns", "reach"), [(47, 1), (48, 2)])
+def test_few_rings_are_not_followed_beyond_missed_shots(n_columns: int, reach: int) -> None:
+    beams = np.deg2rad(np.linspace(60, 100, n_columns))
+    assert FusedScanner.of(beams).limits.columns.reach == reach
+
+
 def test_a_person_is_no_thing_of_the_street(street: tuple[F32, U8]) -> None:
     ranges = street[0].copy()
     hit = np.zeros(street[0].shape, np.bool_)
@@ -150,6 +157,7 @@ def corner(off: float) -> float:
     [
         (trunk, Label.VEGETATION),
         (partial(trunk, radius_m=0.11), Label.POLE),
+        (partial(trunk, radius_m=0.11, turn_deg=35), Label.POLE),
         (partial(trunk, turn_deg=35), Label.VEGETATION),
         (partial(trunk, turn_deg=-35), Label.VEGETATION),
         (lambda _: 0.0, Label.BUILDING),
