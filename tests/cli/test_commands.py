@@ -104,7 +104,8 @@ def test_info_goes_on_after_a_bad_file(prc: Prc, tmp_path: Path) -> None:
 def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     folder = tmp_path / "demo"
     folder.mkdir()
-    (folder / "street.png").touch()
+    for name in ("street.png", "street_report.html"):
+        (folder / name).touch()
     result = prc(f"demo --output {folder}")
     assert result.code == 2
     assert "the folder contains files" in result.err
