@@ -85,6 +85,33 @@ def test_inputs_that_change_while_they_are_read_are_not_done(few: Archive, tmp_p
 
 
 @pytest.mark.long
+def test_an_input_that_is_replaced_again_and_again_ends_with_the_output_of_the_last(
+    few: Archive, tmp_path: Path
+) -> None:
+    """By renaming, as a careful copy does."""
+    out = tmp_path / "out"
+    rng = random.Random(5)
+    path = few.folder / "2026/day 2/drive.laz"
+    first = tmp_path / "one.laz"
+    second = tmp_path / "other.laz"
+    shutil.copy(path, first)
+    second.write_bytes(first.read_bytes()[:-1])
+    for _ in range(4):
+        batch = Batch(few, out)
+        while batch.process.poll() is None:
+            new = tmp_path / "new.laz"
+            shutil.copy(rng.choice([first, second]), new)
+            new.replace(path)
+            with contextlib.suppress(Exception):
+                batch.process.wait(rng.random() * 0.3)
+        code, said = batch.end()
+        assert code in (0, 1), said
+        check_nothing_half(few, out)
+    shutil.copy2(first, path)
+    resume(few, out)
+
+
+@pytest.mark.long
 def test_a_shut_input_costs_itself_alone(few: Archive, tmp_path: Path) -> None:
     out = tmp_path / "out"
     (few.folder / FIRST).chmod(0)
