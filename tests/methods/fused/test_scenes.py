@@ -85,7 +85,8 @@ def reasons(
     beams = Beams(np.sin(angle), np.cos(angle))
     window = np.full((2 * MARGIN + 1, M), range_m, np.float32)
     if lines_beside is not None:
-        window[MARGIN - 1], window[MARGIN + 1] = lines_beside
+        window[:] = 9.0
+        window[MARGIN - 1 : MARGIN + 2] = [[lines_beside[0]], [range_m], [lines_beside[1]]]
     counts = [np.full((5, M), value, np.uint8) for value in (near, smooth, upright, level)]
     if around_smooth is not None:
         counts[0][:] = 20
@@ -152,6 +153,9 @@ def reasons(
         (Reason.CROWN, {"kind": THIN, "rough_slots": 0b11111 << 8}),
         (Reason.POST, {"kind": THIN, "rough_slots": 0b1111 << 8}),  # four leaves are no crown
         (Reason.TRUNK, {"kind": THIN, "lines_beside": (5.15, 5.15)}),
+        (Reason.TRUNK, {"kind": THIN, "lines_beside": (5.0, 5.3)}),  # as round, but tilted
+        (Reason.POST, {"kind": THIN, "lines_beside": (5.03, 5.03)}),
+        (Reason.TRUNK, {"kind": THIN, "lines_beside": (4.65, 5.35)}),  # a piece of a roof
         (Reason.POST, {"kind": POST}),
         (Reason.POST, {"kind": THIN, "lines_beside": (5.6, 5.6)}),  # that is the wall behind it
         (Reason.ARM, {**LEVEL, "kind": SHORT, "above_m": 3.5}),
