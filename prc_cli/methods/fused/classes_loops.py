@@ -623,6 +623,7 @@ def _is_thick(
         nearer += front
         farther_m += window_m[k, i]
         product += front * window_m[k, i]
+    # least squares; the squares of all places add up to (n - 1 / n) / 3
     spread = n - (n - np.float32(1.0) / n) / np.float32(3.0) - nearer * nearer / n
     is_round = (nearer * farther_m / n - product) * across >= limits.thick_m * spread
     is_tilted = abs(window_m[last, i] - window_m[first, i]) * across > TILT_M
