@@ -7,8 +7,10 @@ no package of it.
 
 from __future__ import annotations
 
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
@@ -122,6 +124,19 @@ def csf(
     )
 
 
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Let what a library prints go to stderr."""
+    before = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        yield
+    finally:
+        os.dup2(before, 1)
+        os.close(before)
+
+
+@quiet()
 def cloth(xyz_m: F64, **parameters: float) -> Mask:
     """Mark the ground by the cloth simulation filter; parameters have the names of its package."""
     module = import_module("CSF")

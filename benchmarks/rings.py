@@ -9,12 +9,10 @@ ground (both as in the papers on Patchwork), and with vegetation as a class of i
 
 from __future__ import annotations
 
-import os
 import sys
 import tempfile
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -24,7 +22,7 @@ from numpy.typing import NDArray
 
 from benchmarks.contest_data import view_paths
 from benchmarks.contest_judge import THINGS, UNKNOWN, mapping_of
-from benchmarks.contest_peers import ground_of, installed, patchworkpp
+from benchmarks.contest_peers import ground_of, installed, patchworkpp, quiet
 from benchmarks.pages import DATA, duration, heading, say, table
 from prc_cli import ClassCodes, DoubtWarning, Label, classify
 from prc_cli.core.types import F32, I64, U8, Mask
@@ -214,19 +212,6 @@ def label(frame: Frame, folder: Path) -> tuple[U8, str]:
     return codes, ", ".join(doubts)
 
 
-@contextmanager
-def quiet() -> Iterator[None]:
-    """Let what a library prints as it begins go to stderr."""
-    sys.stdout.flush()
-    before = os.dup(1)
-    os.dup2(2, 1)
-    try:
-        yield
-    finally:
-        os.dup2(before, 1)
-        os.close(before)
-
-
 def patchwork(frame: Frame) -> Mask | None:
     """Return the ground of Patchwork++, None where it is not installed."""
     if installed("patchwork") is None:
@@ -235,7 +220,7 @@ def patchwork(frame: Frame) -> Mask | None:
         filtered = patchworkpp(SCANNER_M[frame.group.removesuffix("_views")])
     there = np.flatnonzero(np.isfinite(frame.xyz_m[:, 0]))
     points = np.column_stack([frame.xyz_m[there], np.zeros(len(there), np.float32)])
-    is_ground = np.zeros(len(frame.xyz_m), np.bool_)
+    is_ground = np.zeros(len(frame.xyz_m), bool)
     is_ground[there[ground_of(filtered, points)]] = True
     return is_ground
 

@@ -33,6 +33,7 @@ def test_every_page_begins_with_its_head() -> None:
         text = path.read_text(encoding="utf-8")
         assert text.startswith("<!-- written by python -m benchmarks."), path
         assert measured(text) is not None, path
+        assert not re.search(r"^\[\d+\]", text, re.MULTILINE), f"{path}: a library printed into it"
 
 
 def test_no_page_is_older_than_the_labels() -> None:
