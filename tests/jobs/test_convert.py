@@ -9,21 +9,29 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prc_cli.config import load_config
+from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.jobs.classify import open_stream
 from prc_cli.jobs.convert import convert
 from tests.clouds import write_las
+from tests.street import LINE_HZ, POINTS_PER_LINE, angles, street
 
-BY_SOURCE = load_config(options={"input": {"scanner": "point_source_id"}})
+CELLS = (".csv", ".csv.gz", ".csv.zst", ".npz", ".bin")
 
 
-def scans(path: Path) -> dict[int, ScanBlock]:
+def config(path: Path | None = None, preset: str | None = None, **inputs: Any) -> LoadedConfig:
+    beside = None if path is None or path.suffix != ".bin" else path.with_name(f"{path.name}.toml")
+    return load_config(
+        beside, preset, {"input": {key.rstrip("_"): value for key, value in inputs.items()}}
+    )
+
+
+def scans(path: Path, loaded: LoadedConfig) -> dict[int, ScanBlock]:
     """Every scanner's lines as one block."""
     parts: dict[int, list[ScanBlock]] = {}
-    for block in open_stream(path, BY_SOURCE).blocks():
+    for block in open_stream(path, loaded).blocks():
         parts.setdefault(block.scanner, []).append(block)
     return {scanner: join(blocks) for scanner, blocks in parts.items()}
 
@@ -33,6 +41,46 @@ def same_bits(left: Any, right: Any) -> bool:
     gone = np.isnan(left)
     same = (left.view(kind) == right.view(kind)) | gone
     return bool(np.array_equal(gone, np.isnan(right)) and same.all())
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    """One scanner, everything that a range image can hold."""
+    image = street()
+    rng = np.random.default_rng(5)
+    # bits that no decimal of a few digits has
+    image *= rng.uniform(0.99999, 1.00001, image.shape).astype(np.float32)
+    angle = angles()
+    xyz = np.stack([image * 0.0, image * np.sin(angle), -image * np.cos(angle)], axis=-1).astype(
+        np.float32
+    )
+    shots = np.arange(image.size).reshape(image.shape)
+    times = 302_400.0 + shots / (LINE_HZ * POINTS_PER_LINE)
+    intensity = rng.integers(0, 65536, image.shape).astype(np.float32)
+    path = tmp_path / "drive.npz"
+    np.savez(
+        path, range_m=image, angle_deg=np.rad2deg(angle), time_s=times, xyz=xyz, intensity=intensity
+    )
+    return path
+
+
+@pytest.mark.parametrize("suffix", CELLS)
+def test_a_format_of_cells_gives_the_same_blocks_back(
+    drive: Path, tmp_path: Path, suffix: str
+) -> None:
+    out = tmp_path / f"out{suffix}"
+    convert(drive, out)
+    (before,) = scans(drive, config()).values()
+    (after,) = scans(out, config(out)).values()
+    assert same_bits(before.range_m, after.range_m)
+    assert same_bits(before.time_s, after.time_s)
+    assert same_bits(before.intensity, after.intensity)
+    assert np.array_equal(before.records(), after.records())
+    assert after.angle_rad is not None
+    turn = 2 * np.pi
+    assert np.abs((after.angle_rad - before.angle_rad + np.pi) % turn - np.pi).max() < 1e-11
+    if suffix == ".npz":
+        assert same_bits(before.xyz_m, after.xyz_m)
 
 
 def two_scanners(path: Path) -> Path:
@@ -79,13 +127,14 @@ def two_scanners(path: Path) -> Path:
 def test_scanners_missing_lines_and_further_returns(tmp_path: Path, suffix: str) -> None:
     source = two_scanners(tmp_path / "two.las")
     out = tmp_path / f"out{suffix}"
+    loaded = config(scanner="point_source_id")
     if suffix == ".laz":  # through a table, since LAS to LAS copies bytes
-        convert(source, tmp_path / "two.csv", BY_SOURCE)
+        convert(source, tmp_path / "two.csv", loaded)
         source = tmp_path / "two.csv"
-    summary = convert(source, out, BY_SOURCE)
+    summary = convert(source, out, loaded)
     assert any("--scanner point_source_id" in notice for notice in summary.record.notices)
-    before = scans(source)
-    after = scans(out)
+    before = scans(source, loaded)
+    after = scans(out, loaded)
     assert sorted(before) == sorted(after) == [3, 8]
     for scanner, block in before.items():
         m = block.points_per_line
@@ -106,11 +155,15 @@ def test_scanners_missing_lines_and_further_returns(tmp_path: Path, suffix: str)
     assert is_reported == (suffix == ".laz")
 
 
+def _several(tmp_path: Path) -> tuple[Path, LoadedConfig]:
+    return two_scanners(tmp_path / "two.las"), config(scanner="point_source_id")
+
+
 @pytest.mark.parametrize("suffix", [".npz", ".npy", ".bin"])
 def test_several_scanners_need_a_format_that_tells_them_apart(tmp_path: Path, suffix: str) -> None:
-    source = two_scanners(tmp_path / "two.las")
+    source, loaded = _several(tmp_path)
     with pytest.raises(
         OutputError, match="found scanners 3 and 8, expected one: .* write .csv, .laz or .parquet"
     ):
-        convert(source, tmp_path / f"out{suffix}", BY_SOURCE)
+        convert(source, tmp_path / f"out{suffix}", loaded)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["two.las"]
