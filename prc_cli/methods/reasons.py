@@ -135,7 +135,10 @@ RULES: dict[Reason, Rule] = {
         "small, with a level top, and far things beyond it: a bin or a cabinet",
         ("decision.box_m", "decision.box_lines"),
     ),
-    Reason.LEAF: Rule("isolated, among other rough shots: a leaf", ("decision.leaf_slots",)),
+    Reason.LEAF: Rule(
+        "few shots near it, rough ones around: a leaf or a bare branch",
+        ("decision.leaf_near", "decision.leaf_slots"),
+    ),
     Reason.FOLIAGE: Rule(
         "rough surroundings, not in a wall nor seen through it",
         ("decision.leaf_share", "decision.leaf_share_before_wall"),
