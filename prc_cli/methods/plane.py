@@ -9,6 +9,8 @@ import numpy as np
 from prc_cli.core.types import F64
 
 _TURN = 2 * np.pi
+MANY_RINGS = 48
+"""Scanners with fewer beams have few rings."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -101,7 +101,7 @@ from prc_cli.methods.fused.spacing import (
 )
 from prc_cli.methods.fused.strips import Strips, measure_strips
 from prc_cli.methods.fused.thresholds import NEVER, STREET, Limits, in_room
-from prc_cli.methods.plane import Plane
+from prc_cli.methods.plane import MANY_RINGS, Plane
 from prc_cli.methods.returns import label_extra_returns
 
 FOREST_NOISE_M = 0.035
@@ -109,8 +109,6 @@ FOREST_NOISE_M = 0.035
 
 Scanners in forests have 2 to 3 mm; 30 mm cost .03 of F1.
 """
-FEW_RINGS = 48
-"""Fewer columns are rings: too far apart to follow a post over a missed shot."""
 OUTSIDE_LINES = SPACED_LINES - BESIDE_THIN_LINES - VOTE_LINES
 """Outermost lines of the window that no label depends on."""
 FOLLOWING_LINES = SPACED_LINES + fans_loops.LINES
@@ -249,8 +247,8 @@ class FusedScanner:
         plane = ScanPlane.of(beam_rad)
         limits = STREET
         is_coarse = float(plane.step_rad) >= limits.foliage.depth_step_rad
-        if is_coarse and len(beam_rad) >= FEW_RINGS:
-            # the few lines on a post show no radius
+        if is_coarse and len(beam_rad) >= MANY_RINGS:
+            # the few lines on a post show no radius; few rings are too far apart to follow it
             limits = limits._replace(
                 columns=limits.columns._replace(reach=np.float32(2)),
                 decision=limits.decision._replace(thick_m=np.float32(NEVER)),

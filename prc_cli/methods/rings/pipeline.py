@@ -30,6 +30,7 @@ from prc_cli.methods.base import (
     beams_of,
     check_block,
 )
+from prc_cli.methods.plane import MANY_RINGS
 from prc_cli.methods.returns import label_extra_returns
 from prc_cli.methods.rings import cells_loops, ground_loops
 from prc_cli.methods.rings.classes import (
@@ -50,7 +51,7 @@ from prc_cli.methods.rings.ground import (
     above_ground,
     find_plane,
 )
-from prc_cli.methods.rings.thresholds import FEW, MANY, MANY_RINGS, Limits
+from prc_cli.methods.rings.thresholds import FEW, MANY, Limits
 
 LOOPS = loops_of(cells_loops, ground_loops)
 WIDEST_FAN_RAD = math.radians(60)

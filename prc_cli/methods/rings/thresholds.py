@@ -260,8 +260,6 @@ class Limits(NamedTuple):
     soil: SoilThresholds = SoilThresholds()
 
 
-MANY_RINGS = 48
-"""Scanners with fewer rings have few."""
 MANY = Limits()
 """Limits for 64 rings and more."""
 FEW = Limits(

@@ -20,8 +20,9 @@ from prc_cli.core.types import F32, F64, U8, Mask
 from prc_cli.jobs.choice import choice_by_beams
 from prc_cli.jobs.classify import label_blocks
 from prc_cli.methods.base import Wanted
+from prc_cli.methods.plane import MANY_RINGS
 from prc_cli.methods.rings.pipeline import RingsParams, is_fan, limits_of, upside_down
-from prc_cli.methods.rings.thresholds import FEW, MANY, MANY_RINGS
+from prc_cli.methods.rings.thresholds import FEW, MANY
 from tests.cli.conftest import Prc
 
 N_LINES = 1800
