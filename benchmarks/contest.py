@@ -11,7 +11,6 @@ Reads ../shared/data or $PRC_DATA for the real scans. Filters of registered clou
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
@@ -126,8 +125,8 @@ class DataSet:
     def _run_peers(self, scan: Scan, chains: dict[str, list[peers.Step]]) -> None:
         points = peers.points_of(scan)
         made: dict[str, tuple[np.ndarray, float]] = {"[]": (points.no_codes(), 0.0)}
-        # the packages bring libraries of their own, which print: not into the page
-        with ProcessPoolExecutor(1, get_context("spawn"), os.dup2, (2, 1)) as pool:
+        # the packages bring libraries of their own
+        with ProcessPoolExecutor(1, get_context("spawn")) as pool:
             for name, steps in chains.items():
                 for n in range(len(steps)):
                     before, spent_s = made[str(steps[:n])]

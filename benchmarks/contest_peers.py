@@ -186,6 +186,7 @@ def patchwork(
     return is_ground
 
 
+@quiet()
 def patchworkpp(height_m: float, **parameters: float) -> Any:
     """Return the filter for a scanner; parameters have the names of its package."""
     module = import_module("pypatchworkpp")

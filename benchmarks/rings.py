@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from benchmarks.contest_data import view_paths
 from benchmarks.contest_judge import THINGS, UNKNOWN, mapping_of
-from benchmarks.contest_peers import ground_of, installed, patchworkpp, quiet
+from benchmarks.contest_peers import ground_of, installed, patchworkpp
 from benchmarks.pages import DATA, duration, heading, say, table
 from prc_cli import ClassCodes, DoubtWarning, Label, classify
 from prc_cli.core.types import F32, I64, U8, Mask
@@ -216,8 +216,7 @@ def patchwork(frame: Frame) -> Mask | None:
     """Return the ground of Patchwork++, None where it is not installed."""
     if installed("patchwork") is None:
         return None
-    with quiet():
-        filtered = patchworkpp(SCANNER_M[frame.group.removesuffix("_views")])
+    filtered = patchworkpp(SCANNER_M[frame.group.removesuffix("_views")])
     there = np.flatnonzero(np.isfinite(frame.xyz_m[:, 0]))
     points = np.column_stack([frame.xyz_m[there], np.zeros(len(there), np.float32)])
     is_ground = np.zeros(len(frame.xyz_m), bool)
