@@ -1,7 +1,5 @@
 """Chromium through its driver, for tests of pages; skips where there is none."""
 
-from __future__ import annotations
-
 import base64
 import json
 import shutil

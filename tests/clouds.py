@@ -1,7 +1,5 @@
 """Points, and LAS and LAZ files of them, for tests of several folders."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

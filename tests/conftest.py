@@ -1,7 +1,5 @@
 """Fixtures shared by several folders of tests."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
@@ -57,7 +55,7 @@ def data_folder() -> Path:
 
 
 @pytest.fixture(scope="session")
-def real_data() -> Path:
+def real_data():
     """Folder of the real scans; absent ones skip the test, but fail it where they are required
     (CI)."""
     folder = data_folder()

@@ -1,7 +1,5 @@
 """Messages on stderr: three short lines for people, one line as in logs for tests."""
 
-from __future__ import annotations
-
 import re
 
 MOST_LINES = 3

@@ -4,8 +4,6 @@ Every process that a test starts has a time limit that ends it. It receives Ctrl
 end of a terminal (SIGHUP) even if the tests were started with them ignored: under nohup, by cron,
 or in the background of a shell."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

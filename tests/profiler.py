@@ -1,8 +1,6 @@
 """The real profiler sample (README of the data: jakteristics test data) and parameters recovered
 from it by fitting."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The command line in this process, with stderr apart from stdout in every version of click."""
 
-from __future__ import annotations
-
 import inspect
 
 from click.testing import CliRunner

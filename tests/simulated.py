@@ -1,7 +1,5 @@
 """Small simulated scans as arrays, made once per session."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

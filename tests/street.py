@@ -1,8 +1,6 @@
 """A small analytic street with known shapes, as a range image and as files of every readable
 format."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Scans of the contest: those that tune a method are none that it is scored on."""
 
-from __future__ import annotations
-
 from benchmarks.contest_data import (
     TEST_FORESTS,
     TEST_STREETS,
@@ -10,7 +8,7 @@ from benchmarks.contest_data import (
 )
 
 
-def test_seeds_for_tuning_are_never_reported() -> None:
+def test_seeds_for_tuning_are_never_reported():
     tuned = {spec.seed for spec in (*TRAIN, *TRAIN_FOREST)}
     reported = {spec.seed for spec in (*TEST_STREETS, *TEST_FORESTS)}
     assert not tuned & reported

@@ -3,8 +3,6 @@
 Above a block of commands that is not run here stands why: ``<!-- not run: reason -->``, or ``<!--
 run by FILE -->``. Pages of figures are written by the benchmark that has run their commands."""
 
-from __future__ import annotations
-
 import gzip
 import re
 import shlex
@@ -42,7 +40,7 @@ def commands(block: str) -> list[str]:
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_what_is_not_run_has_a_reason(path: Path) -> None:
+def test_what_is_not_run_has_a_reason(path):
     for reason, block in blocks(path):
         if not reason:
             assert all(re.match(r"prc [a-z]", line) for line in commands(block)), (
@@ -55,7 +53,7 @@ def test_what_is_not_run_has_a_reason(path: Path) -> None:
 
 
 @pytest.fixture(scope="session")
-def sandbox(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def sandbox(tmp_path_factory):
     """Return a folder with the files that the documentation names, all of the same short drive."""
     folder = tmp_path_factory.mktemp("docs")
 
@@ -96,11 +94,11 @@ RUN = [path for path in PAGES if any(not reason for reason, _ in blocks(path))]
 @pytest.mark.slow
 @pytest.mark.parametrize("path", RUN, ids=lambda path: str(path.relative_to(ROOT)))
 def test_commands_run(
-    path: Path,
-    sandbox: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    path,
+    sandbox,
+    tmp_path,
+    monkeypatch,
+):
     for reason, block in blocks(path):
         if reason:
             continue

@@ -1,8 +1,6 @@
 """Python blocks of the documentation run, shell examples name what exists, figures come from tables
 of benchmarks."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import shlex
@@ -31,7 +29,7 @@ def blocks(path: Path, language: str) -> list[str]:
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_python_blocks_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_blocks_run(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     image = np.full((100, 2154), 12.0, np.float32)
     image.tofile("drive.bin")
@@ -48,7 +46,7 @@ def test_python_blocks_run(path: Path, tmp_path: Path, monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_shell_examples_name_what_exists(path: Path) -> None:
+def test_shell_examples_name_what_exists(path):
     for text in [*blocks(path, "console"), *blocks(path, "text")]:
         for line in text.replace("\\\n", " ").splitlines():
             # a sentence of a help text: examples have four blanks
@@ -75,7 +73,7 @@ def check_command(words: list[str], line: str) -> None:
             assert word.split("=")[0] in known, line
 
 
-def test_every_parameter_and_class_is_in_the_reference() -> None:
+def test_every_parameter_and_class_is_in_the_reference():
     configuration = (ROOT / "docs/reference/configuration.md").read_text(encoding="utf-8")
     for table in (
         "input",
@@ -92,7 +90,7 @@ def test_every_parameter_and_class_is_in_the_reference() -> None:
         assert f"`[prc.{table}]`" in algorithm
 
 
-def test_every_preset_is_in_the_page_that_chooses() -> None:
+def test_every_preset_is_in_the_page_that_chooses():
     page = (ROOT / "docs/methods.md").read_text(encoding="utf-8")
     assert all(re.search(rf"(--preset |or )`?{preset}`", page) for preset in PRESETS)
 
@@ -117,7 +115,7 @@ FIGURES = """<!-- written by a benchmark -->
 
 
 @pytest.fixture
-def page(tmp_path: Path) -> Path:
+def page(tmp_path):
     (tmp_path / "x_figures.md").write_text(FIGURES, encoding="utf-8")
     return tmp_path / "page.md"
 
@@ -143,16 +141,16 @@ def fill(page: Path, text: str) -> str:
     ],
 )
 def test_a_figure_is_written_from_its_cell(
-    page: Path,
-    shown: str,
-    title: str,
-    expected: str,
-) -> None:
+    page,
+    shown,
+    title,
+    expected,
+):
     text = f"It is {shown}<!-- x_figures.md#streets-all: {title} --> of 3."
     assert fill(page, text) == text.replace(f" {shown}<", f" {expected}<")
 
 
-def test_figures_of_all_pages_are_those_of_the_tables() -> None:
+def test_figures_of_all_pages_are_those_of_the_tables():
     pages: dict[Path, str] = GENERATE["prose"]()
     assert {path.name for path in pages} >= {
         "accuracy.md",
@@ -165,7 +163,7 @@ def test_figures_of_all_pages_are_those_of_the_tables() -> None:
 
 
 @pytest.mark.parametrize("name", ["README.md", "docs/outputs.md"])
-def test_the_promise_about_las_names_the_formats_that_are_upgraded(name: str) -> None:
+def test_the_promise_about_las_names_the_formats_that_are_upgraded(name):
     """tests/formats/las/test_rewrite.py upgrades them."""
     text = " ".join((ROOT / name).read_text(encoding="utf-8").split())
     assert "ormats 0 to 5" in text

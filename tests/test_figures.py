@@ -1,7 +1,5 @@
 """Pages of figures say what they were measured with, and are not older than the labels."""
 
-from __future__ import annotations
-
 import re
 
 from packaging.version import Version
@@ -28,7 +26,7 @@ def is_old(page: str, changelog: str) -> bool:
     )
 
 
-def test_every_page_begins_with_its_head() -> None:
+def test_every_page_begins_with_its_head():
     for path in FIGURES.glob("*.md"):
         text = path.read_text(encoding="utf-8")
         assert text.startswith("<!-- written by python -m benchmarks."), path
@@ -36,17 +34,17 @@ def test_every_page_begins_with_its_head() -> None:
         assert not re.search(r"^\[\d+\]", text, re.MULTILINE), f"{path}: a library printed into it"
 
 
-def test_no_page_is_older_than_the_labels() -> None:
+def test_no_page_is_older_than_the_labels():
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     pages = {path.stem: path.read_text(encoding="utf-8") for path in FIGURES.glob("*.md")}
     assert {name for name, text in pages.items() if is_old(text, changelog)} == TO_BE_MADE_ANEW
 
 
-def test_a_release_has_no_old_page() -> None:
+def test_a_release_has_no_old_page():
     assert Version(__version__).is_devrelease or not TO_BE_MADE_ANEW
 
 
-def test_the_head_decides_what_is_old() -> None:
+def test_the_head_decides_what_is_old():
     changelog = "## 2.0.0\n\n- x\n\n## 1.2.0\n\n- **Codes changed**, `fused`: x\n\n## 1.0.0\n"
     assert last_change_of_labels(changelog) == Version("1.2.0")
     head = "# Figures\n\nprc {}, commit abc, 2026-11-26, machine not recorded.\n"

@@ -1,14 +1,11 @@
 """Reader, classifier and writer in parallel: equal bytes, clean shutdown, no thread left."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -30,12 +27,12 @@ OURS = ("read-ahead", "write-behind", "fingerprint", "ThreadPoolExecutor")
 
 
 @pytest.fixture(scope="module")
-def image() -> np.ndarray:
+def image():
     return street()
 
 
 @pytest.fixture
-def no_thread_left() -> Iterator[None]:
+def no_thread_left():
     yield
     assert not [thread.name for thread in threading.enumerate() if thread.name.startswith(OURS)]
 
@@ -46,11 +43,11 @@ def no_thread_left() -> Iterator[None]:
     ("kind", "suffix"), [(".bin", ".npy"), (".csv", ".csv"), (".npz", ".parquet"), (".csv", ".laz")]
 )
 def test_bytes_are_equal_with_any_number_of_threads(
-    tmp_path: Path,
-    image: np.ndarray,
-    kind: str,
-    suffix: str,
-) -> None:
+    tmp_path,
+    image,
+    kind,
+    suffix,
+):
     write = {".bin": write_raw, ".csv": write_csv, ".npz": write_npz}[kind]
     source = write(tmp_path / f"drive{kind}", image)
     outputs = []
@@ -63,9 +60,7 @@ def test_bytes_are_equal_with_any_number_of_threads(
 
 @pytest.mark.usefixtures("no_thread_left")
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
-def test_rewritten_clouds_are_equal_with_any_number_of_threads(
-    tmp_path: Path, image: np.ndarray, suffix: str
-) -> None:
+def test_rewritten_clouds_are_equal_with_any_number_of_threads(tmp_path, image, suffix):
     source = tmp_path / f"drive{suffix}"
     classify(write_npz(tmp_path / "drive.npz", image), source, SHORT)
     outputs = [tmp_path / f"{threads}{suffix}" for threads in (1, 2, 3)]
@@ -91,13 +86,13 @@ def after(n: int, function: Callable[..., object], error: BaseException) -> Call
 @pytest.mark.parametrize("where", ["reader", "classifier", "writer", "progress"])
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), ValueError("fault")])
 def test_an_error_anywhere_ends_the_run_and_leaves_nothing(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    image: np.ndarray,
-    where: str,
-    threads: int,
-    error: BaseException,
-) -> None:
+    tmp_path,
+    monkeypatch,
+    image,
+    where,
+    threads,
+    error,
+):
     if isinstance(error, KeyboardInterrupt) and where == "classifier":
         pytest.skip("interrupts arrive in the main thread")
     source = write_raw(tmp_path / "drive.bin", image)
@@ -118,9 +113,7 @@ def test_an_error_anywhere_ends_the_run_and_leaves_nothing(
     assert os.listdir(out) == []
 
 
-def test_an_input_that_vanishes_from_the_fingerprint_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, image: np.ndarray
-) -> None:
+def test_an_input_that_vanishes_from_the_fingerprint_is_refused(tmp_path, monkeypatch, image):
     source = write_raw(tmp_path / "drive.bin", image)
     (tmp_path / "out").mkdir()
     gone = InputError("drive.bin", "cannot be read", "check")
@@ -135,7 +128,7 @@ def test_an_input_that_vanishes_from_the_fingerprint_is_refused(
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="limits of files")
 @pytest.mark.parametrize("suffix", [".npy", ".laz"])
-def test_a_full_disk_is_told_in_one_line(tmp_path: Path, image: np.ndarray, suffix: str) -> None:
+def test_a_full_disk_is_told_in_one_line(tmp_path, image, suffix):
     import resource
 
     source = write_raw(tmp_path / "drive.bin", np.tile(image, (4, 1)))
@@ -162,7 +155,7 @@ def test_a_full_disk_is_told_in_one_line(tmp_path: Path, image: np.ndarray, suff
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 @pytest.mark.parametrize("threads", ["1", "2"])
-def test_ctrl_c_in_mid_run_ends_it_within_seconds(tmp_path: Path, threads: str) -> None:
+def test_ctrl_c_in_mid_run_ends_it_within_seconds(tmp_path, threads):
     source = write_endless(tmp_path / "drive.bin")
     out = tmp_path / "out"
     out.mkdir()

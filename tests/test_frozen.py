@@ -3,8 +3,6 @@
 ``python -m tests.test_frozen`` writes the file anew. A line that goes breaks a script; a new line
 is a promise."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import inspect
@@ -123,7 +121,7 @@ def _paths(document: Any, prefix: str = "") -> Iterator[str]:
 
 
 @pytest.mark.slow
-def test_what_was_promised_is_there() -> None:
+def test_what_was_promised_is_there():
     promised = set(FROZEN.read_text(encoding="utf-8").splitlines())
     present = set(names())
     assert not promised - present, "gone"

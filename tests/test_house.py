@@ -1,7 +1,5 @@
 """The rules of the house."""
 
-from __future__ import annotations
-
 import ast
 import sys
 import tomllib
@@ -22,7 +20,7 @@ ROOT = Path(__file__).resolve().parent.parent
 SOURCES = sorted((ROOT / "prc_cli").rglob("*.py"))
 
 
-def test_loops_know_the_compiler_by_core_alone() -> None:
+def test_loops_know_the_compiler_by_core_alone():
     for path in SOURCES:
         text = path.read_text(encoding="utf-8")
         if path.parts[-2:] not in (("core", "loops.py"), ("core", "loop_cache.py")):
@@ -31,7 +29,7 @@ def test_loops_know_the_compiler_by_core_alone() -> None:
 
 
 @pytest.mark.slow
-def test_no_function_is_too_deep() -> None:
+def test_no_function_is_too_deep():
     """At most 5 compound statements in each other."""
     functions = [
         (f"{path.relative_to(ROOT)}:{node.lineno} {node.name}", node)
@@ -74,7 +72,7 @@ def nesting(node: ast.AST) -> int:
     )
 
 
-def test_help_loads_nothing_heavy() -> None:
+def test_help_loads_nothing_heavy():
     code = (
         "import sys\n"
         "from prc_cli.cli import main\n"
@@ -88,7 +86,7 @@ def test_help_loads_nothing_heavy() -> None:
     assert "classify" in result.stdout
 
 
-def test_public_functions_exist() -> None:
+def test_public_functions_exist():
     for name in prc_cli.__all__:
         assert callable(getattr(prc_cli, name))
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
@@ -96,13 +94,13 @@ def test_public_functions_exist() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))
-def test_every_command_has_help_with_an_example(name: str) -> None:
+def test_every_command_has_help_with_an_example(name):
     result = CliRunner().invoke(cli, [name, "--help"])
     assert result.exit_code == 0
     assert "Example" in result.output, f"prc {name} --help shows no example"
 
 
-def test_sample_layouts_and_mappings_are_valid() -> None:
+def test_sample_layouts_and_mappings_are_valid():
     layouts = sorted((ROOT / "sample_configs" / "layouts").glob("*.toml"))
     assert layouts
     for path in layouts:
@@ -114,7 +112,7 @@ def test_sample_layouts_and_mappings_are_valid() -> None:
         mapping.load_mapping(path)
 
 
-def test_the_citation_names_this_version_and_both_papers() -> None:
+def test_the_citation_names_this_version_and_both_papers():
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert f"\nversion: {prc_cli.__version__}\n" in citation
     assert "doi: 10.1109/TGRS.2019.2909351\n" in citation
@@ -128,7 +126,7 @@ REPORTS = {"cli/evaluate.py", "cli/evaluate_answers.py", "jobs/objects/__init__.
 """Modules that name suffixes of reports and lists, which are no scans."""
 
 
-def test_suffixes_of_formats_stay_in_their_room() -> None:
+def test_suffixes_of_formats_stay_in_their_room():
     """Tables of suffixes derive from the records of formats.
 
     Names that are put together may end in one.
@@ -195,7 +193,7 @@ HEAVIEST = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("folder", HEAVIEST)
-def test_the_house_is_no_heavier_to_read(folder: str) -> None:
+def test_the_house_is_no_heavier_to_read(folder):
     weight = together(weigh(ROOT / folder))
     heavier = {
         name: getattr(weight, name)

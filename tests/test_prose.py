@@ -1,7 +1,5 @@
 """The manual is written in plain English: short sentences, short pages, and no riddles."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -66,12 +64,12 @@ LONG: dict[str, int] = {}
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
-def test_a_page_is_plain_english(path: Path) -> None:
+def test_a_page_is_plain_english(path):
     found = problems(path.read_text(encoding="utf-8"))
     assert not found, "\n".join(found)
 
 
-def test_pages_and_the_manual_are_short() -> None:
+def test_pages_and_the_manual_are_short():
     words = {path.name: count_of(path) for path in PAGES}
     assert words.pop("README.md") <= 600  # commands, tables and links included
     assert sum(words.values()) <= MANUAL
@@ -86,7 +84,7 @@ def pages_to_do() -> list[str]:
 
 
 @pytest.mark.parametrize("name", pages_to_do())
-def test_a_page_to_do_says_for_whom_shows_its_result_and_a_way_out(name: str) -> None:
+def test_a_page_to_do_says_for_whom_shows_its_result_and_a_way_out(name):
     text = (ROOT / "docs" / name).read_text(encoding="utf-8")
     first = text.split("\n\n")[1]
     assert first.startswith(("You need this page if", "For "))

@@ -1,7 +1,5 @@
 """Real scans through the functions of the commands."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -23,14 +21,14 @@ ROOT = Path(__file__).resolve().parent.parent
     [(1, 0.93, 0.94, 0.51, 0.70), (2, 0.94, 0.95, 0.76, 0.67), (3, 0.94, 0.95, 0.76, None)],
 )
 def test_oakland(
-    real_data: Path,
-    tmp_path: Path,
-    strip: int,
-    published_ground: float,
-    ground: float,
-    vegetation: float,
-    building: float | None,
-) -> None:
+    real_data,
+    tmp_path,
+    strip,
+    published_ground,
+    ground,
+    vegetation,
+    building,
+):
     source = real_data / "oakland" / f"oakland_{strip}.csv.gz"
     classify(source, tmp_path / "urban.npy", load_config(preset="prc-2019-urban"))
     oakland_scores = scores(evaluate(tmp_path / "urban.npy", source, "oakland"))

@@ -3,8 +3,6 @@
 ``prc config presets`` lists them.
 """
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path
@@ -55,7 +53,7 @@ def tables(path: Path) -> list[tuple[str | None, dict[str, Any]]]:
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
-def test_a_sample_holds_only_what_differs_from_what_it_starts_from(path: Path) -> None:
+def test_a_sample_holds_only_what_differs_from_what_it_starts_from(path):
     same = set()
     for preset, table in tables(path):
         below = base(preset)
@@ -64,7 +62,7 @@ def test_a_sample_holds_only_what_differs_from_what_it_starts_from(path: Path) -
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
-def test_every_value_of_a_sample_has_its_reason(path: Path) -> None:
+def test_every_value_of_a_sample_has_its_reason(path):
     lines = path.read_text(encoding="utf-8").splitlines()
     assert lines[0].startswith("# ")
     for before, line in zip(["", *lines], lines, strict=False):
@@ -73,12 +71,12 @@ def test_every_value_of_a_sample_has_its_reason(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
-def test_every_sample_is_valid(path: Path) -> None:
+def test_every_sample_is_valid(path):
     BatchConfig(ConfigLayers(path))
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_a_preset_is_its_file(name: str) -> None:
+def test_a_preset_is_its_file(name):
     path = SAMPLES / f"{name.replace('-', '_')}.toml"
     assert preset_file(name) == path
     assert "preset" not in preset_table(name)
@@ -87,7 +85,7 @@ def test_a_preset_is_its_file(name: str) -> None:
     assert loaded.sources == dict.fromkeys(dict(flatten(preset_table(name))), f"preset {name}")
 
 
-def test_the_folder_inside_the_package_comes_first(tmp_path: Path) -> None:
+def test_the_folder_inside_the_package_comes_first(tmp_path):
     package = tmp_path / "prc_cli"
     package.mkdir()
     assert samples_folder(package) == tmp_path / "sample_configs"
@@ -95,7 +93,7 @@ def test_the_folder_inside_the_package_comes_first(tmp_path: Path) -> None:
     assert samples_folder(package) == package / "sample_configs"
 
 
-def test_the_wheel_and_the_source_archive_take_the_samples_in() -> None:
+def test_the_wheel_and_the_source_archive_take_the_samples_in():
     targets = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"][
         "build"
     ]["targets"]

@@ -1,7 +1,5 @@
 """What is told wrong is not silently labelled: a small part of ``python -m benchmarks.trust``."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 
@@ -13,7 +11,6 @@ from benchmarks.trust_cases import (
     QUICK_CASES,
     ROWS,
     Context,
-    QuickCase,
     plain,
     right_forms,
 )
@@ -47,9 +44,7 @@ def case_of(window: Window, method: str) -> Case:
 @pytest.mark.parametrize(
     "case", QUICK_CASES, ids=lambda case: f"{case.row}, {case.toy}, {case.method}"
 )
-def test_what_is_wrong_is_not_silent_and_what_is_right_passes(
-    case: QuickCase, tmp_path: Path
-) -> None:
+def test_what_is_wrong_is_not_silent_and_what_is_right_passes(case, tmp_path):
     row = next(row for row in ROWS if row.name == case.row)
     expected = right_f1(case.toy, case.method, tmp_path)
     assert expected > MACRO
@@ -67,9 +62,7 @@ def test_what_is_wrong_is_not_silent_and_what_is_right_passes(
 
 
 @pytest.mark.parametrize(("name", "form"), FORMS)
-def test_a_scan_rightly_told_is_neither_refused_nor_doubted(
-    name: str, form: int, tmp_path: Path
-) -> None:
+def test_a_scan_rightly_told_is_neither_refused_nor_doubted(name, form, tmp_path):
     window = window_of(name)
     method = "fused-forest" if window.is_forest else "fused"
     stated = right_forms(window)[form](window, Context(tmp_path, method, random_of()))
@@ -92,12 +85,12 @@ def test_a_scan_rightly_told_is_neither_refused_nor_doubted(
     ],
 )
 def test_what_is_wrong_is_named(
-    name: str,
-    method: str,
-    seed: int,
-    words: str,
-    tmp_path: Path,
-) -> None:
+    name,
+    method,
+    seed,
+    words,
+    tmp_path,
+):
     row = next(row for row in ROWS if row.name == name)
     result = try_row(
         Trial(tmp_path),
@@ -113,7 +106,7 @@ def test_what_is_wrong_is_named(
     assert "range_scale" not in result.said.partition(words)[0]
 
 
-def test_limits_are_never_chosen_on_scans_that_are_reported() -> None:
+def test_limits_are_never_chosen_on_scans_that_are_reported():
     specs = {
         part: [source.spec for source in sources(part) if source.spec is not None]
         for part in FIRST_SEED

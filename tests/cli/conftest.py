@@ -1,7 +1,5 @@
 """Fixtures for tests of commands."""
 
-from __future__ import annotations
-
 import json
 from typing import Any, NamedTuple
 
@@ -13,7 +11,7 @@ from tests.patience import HANGS_S
 
 
 @pytest.fixture(autouse=True)
-def no_word_about_compiling(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_word_about_compiling(monkeypatch):
     """Whether a command in this process says that loading takes long depends on the machine."""
     monkeypatch.setattr(report, "COMPILING_S", HANGS_S)
 
@@ -48,5 +46,5 @@ class Prc:
 
 
 @pytest.fixture
-def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
+def prc(capsys):
     return Prc(capsys)

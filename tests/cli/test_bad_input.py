@@ -1,7 +1,5 @@
 """Broken files and wrong options: one clear line, the right exit code, nothing left behind."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shlex
@@ -17,7 +15,6 @@ import pytest
 from prc_cli.cli import cli, main
 from prc_cli.formats.writing.base import StagedWriter
 from tests import patience
-from tests.cli.conftest import Prc
 from tests.formats.cloud_files import pcd
 from tests.street import POINTS_PER_LINE, street, write_csv, write_npz, write_raw
 
@@ -35,7 +32,7 @@ def las(folder: Path, name: str = "drive.las") -> Path:
     return path
 
 
-def test_odd_ranges_are_missing_and_counted(prc: Prc, tmp_path: Path) -> None:
+def test_odd_ranges_are_missing_and_counted(prc, tmp_path):
     image = street()
     odd = image.copy()
     odd[3, :6] = [np.inf, -np.inf, -1.0, 0.0, np.nan, 1e30]
@@ -51,9 +48,7 @@ def test_odd_ranges_are_missing_and_counted(prc: Prc, tmp_path: Path) -> None:
     assert np.array_equal(np.load(tmp_path / "odd.npy"), np.load(tmp_path / "plain.npy"))
 
 
-def test_a_message_has_a_line_for_the_fault_the_reason_and_the_hint(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_message_has_a_line_for_the_fault_the_reason_and_the_hint(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "o.npz").mkdir()
     with pytest.raises(SystemExit):
@@ -62,14 +57,14 @@ def test_a_message_has_a_line_for_the_fault_the_reason_and_the_hint(
     assert capsys.readouterr().err == message
 
 
-def test_names_with_control_characters_stay_on_one_line(prc: Prc, tmp_path: Path) -> None:
+def test_names_with_control_characters_stay_on_one_line(prc, tmp_path):
     result = prc("classify", tmp_path / "a\nb\x1b[31m.las", tmp_path / "labels.npy")
     assert result.code == 1
     assert len(result.err.splitlines()) == 1
     assert "\x1b" not in result.err
 
 
-def test_names_with_brackets_are_printed_as_they_are(prc: Prc, tmp_path: Path) -> None:
+def test_names_with_brackets_are_printed_as_they_are(prc, tmp_path):
     source = tmp_path / "[red]drive[bold].csv"
     source.write_text("scan_line,column,range,[/bold]\n0,0,5,1\n0,1,5,1\n1,0,5,1\n1,1,5,1\n")
     result = prc(f"info {source}")
@@ -86,7 +81,7 @@ def test_names_with_brackets_are_printed_as_they_are(prc: Prc, tmp_path: Path) -
 @pytest.mark.parametrize(
     "command", [["config", "show"], ["config", "schema"], ["completion", "bash"], ["--help"]]
 )
-def test_a_result_that_cannot_be_printed_is_one_line(command: list[str]) -> None:
+def test_a_result_that_cannot_be_printed_is_one_line(command):
     with Path("/dev/full").open("w") as full:
         result = patience.run(
             [sys.executable, "-m", "prc_cli", *command],
@@ -100,9 +95,7 @@ def test_a_result_that_cannot_be_printed_is_one_line(command: list[str]) -> None
 
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
-def test_a_file_that_laspy_refuses_is_classified_and_doubted(
-    prc: Prc, tmp_path: Path, suffix: str
-) -> None:
+def test_a_file_that_laspy_refuses_is_classified_and_doubted(prc, tmp_path, suffix):
     drive = las(tmp_path, f"drive{suffix}")
     fine = prc(f"classify {drive} {tmp_path}/fine{suffix} --trust-order")
     data = bytearray(drive.read_bytes())
@@ -123,11 +116,11 @@ def test_a_file_that_laspy_refuses_is_classified_and_doubted(
     [("--config", "x.toml"), ("--layout", "x.toml"), ("--set", "x.json")],
 )
 def test_settings_are_regular_files(
-    prc: Prc,
-    tmp_path: Path,
-    option: str,
-    name: str,
-) -> None:
+    prc,
+    tmp_path,
+    option,
+    name,
+):
     os.mkfifo(tmp_path / name)
     drive = write_raw(tmp_path / "drive.bin", street())
     if option == "--set":
@@ -162,12 +155,12 @@ def test_settings_are_regular_files(
     ],
 )
 def test_what_the_system_refuses_is_named(
-    prc: Prc,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    error: OSError,
-    line: str,
-) -> None:
+    prc,
+    tmp_path,
+    monkeypatch,
+    error,
+    line,
+):
     def refuse(*_: object, **__: object) -> None:
         raise error
 
@@ -179,11 +172,11 @@ def test_what_the_system_refuses_is_named(
 
 @pytest.mark.parametrize("output", ["a.laz", "a.las", "a.npy"])
 def test_interrupting_leaves_nothing_and_says_so(
-    prc: Prc,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    output: str,
-) -> None:
+    prc,
+    tmp_path,
+    monkeypatch,
+    output,
+):
     source = write_npz(tmp_path / "drive.npz", street())
     seen: list[int] = []
 
@@ -349,7 +342,7 @@ def drive(path: Path, first_s: float) -> None:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("refused")
     write_npz(folder / "drive.npz", street(80))
     write_csv(folder / "drive.csv", street(80))
@@ -373,13 +366,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(("command", "code", "said"), CASES)
 def test_one_line_says_why(
-    prc: Prc,
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    command: str,
-    code: int,
-    said: str,
-) -> None:
+    prc,
+    folder,
+    monkeypatch,
+    command,
+    code,
+    said,
+):
     monkeypatch.chdir(folder)
     before = sorted(folder.iterdir())
     result = prc(*shlex.split(command))
@@ -389,9 +382,7 @@ def test_one_line_says_why(
 
 
 @pytest.mark.parametrize("error", [MemoryError(), ImportError("no libx")])
-def test_what_the_machine_lacks_ends_in_one_line(
-    prc: Prc, monkeypatch: pytest.MonkeyPatch, error: Exception
-) -> None:
+def test_what_the_machine_lacks_ends_in_one_line(prc, monkeypatch, error):
     def fail(**_: object) -> None:
         raise error
 

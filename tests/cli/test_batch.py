@@ -1,7 +1,5 @@
 """``prc batch`` on the command line: options, logs, tables, exit codes."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -40,7 +38,7 @@ Run = Callable[..., Result]
 
 
 @pytest.fixture
-def prc(prc: Run) -> Run:
+def prc(prc):
     """Run ``prc batch``."""
     return partial(prc, "batch")
 
@@ -51,7 +49,7 @@ ODD = os.fsdecode(b"night/stra\xdfe\n\x1b[31m.csv")
 
 
 @pytest.fixture(scope="module")
-def office(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def office(tmp_path_factory):
     """An archive of two good files and a bad one, and an output folder after a first run without a
     home or terminal."""
     folder = tmp_path_factory.mktemp("office")
@@ -81,7 +79,7 @@ def office(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return archive, out
 
 
-def test_one_line_a_file_without_control_characters(office: tuple[Path, Path]) -> None:
+def test_one_line_a_file_without_control_characters(office):
     text = (office[1].parent / "err.txt").read_text(encoding="utf-8")
     lines = text.splitlines()
     assert "\x1b" not in text
@@ -93,7 +91,7 @@ def test_one_line_a_file_without_control_characters(office: tuple[Path, Path]) -
     assert not any("\r" in line for line in lines)
 
 
-def test_the_log_tells_every_event_with_exact_names(office: tuple[Path, Path]) -> None:
+def test_the_log_tells_every_event_with_exact_names(office):
     lines = [
         json.loads(line) for line in (office[1].parent / "log.jsonl").read_bytes().splitlines()
     ]
@@ -113,8 +111,8 @@ def test_the_log_tells_every_event_with_exact_names(office: tuple[Path, Path]) -
 
 @pytest.mark.slow
 def test_nothing_to_do_is_one_line_or_none_and_the_reference_is_compared_anyway(
-    office: tuple[Path, Path], prc: Run, tmp_path: Path
-) -> None:
+    office, prc, tmp_path
+):
     archive = office[0]
     out = tmp_path / "out"
     shutil.copytree(office[1], out)
@@ -146,11 +144,11 @@ def test_nothing_to_do_is_one_line_or_none_and_the_reference_is_compared_anyway(
 
 @pytest.mark.slow
 def test_retry_repeats_the_last_run_for_what_failed_from_any_folder(
-    office: tuple[Path, Path],
-    prc: Run,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    office,
+    prc,
+    tmp_path,
+    monkeypatch,
+):
     out = tmp_path / "out"
     shutil.copytree(office[1], out)
     monkeypatch.chdir(tmp_path)
@@ -173,11 +171,11 @@ def test_retry_repeats_the_last_run_for_what_failed_from_any_folder(
 
 @pytest.mark.skipif(os.name != "posix", reason="permissions")
 def test_retry_obeys_nobody_else_and_no_nonsense(
-    office: tuple[Path, Path],
-    prc: Run,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    office,
+    prc,
+    tmp_path,
+    monkeypatch,
+):
     """Who could write there chose where the log of somebody else was appended."""
     out = tmp_path / "out"
     shutil.copytree(office[1], out)
@@ -211,7 +209,7 @@ def test_retry_obeys_nobody_else_and_no_nonsense(
 
 
 @pytest.mark.parametrize("name", [".prc", ".prc/journal.sqlite", ".prc/lock"])
-def test_our_own_files_are_no_links(prc: Run, tmp_path: Path, name: str) -> None:
+def test_our_own_files_are_no_links(prc, tmp_path, name):
     """SQLite made the target of a dangling link.
 
     a linked lock ended with "the result cannot be printed".
@@ -228,9 +226,7 @@ def test_our_own_files_are_no_links(prc: Run, tmp_path: Path, name: str) -> None
 
 
 @pytest.mark.slow
-def test_clean_removes_what_the_dead_left_and_forgets_what_is_lost(
-    office: tuple[Path, Path], prc: Run, tmp_path: Path
-) -> None:
+def test_clean_removes_what_the_dead_left_and_forgets_what_is_lost(office, prc, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(office[1], out)
     child = patience.run(
@@ -312,7 +308,7 @@ def made_up(*events: Any, **changes: Any) -> Callable[..., BatchSummary]:
 
 
 @pytest.fixture
-def play(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., None]:
+def play(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     return lambda *events, **changes: monkeypatch.setattr(
         run_module, "run_batch", made_up(*events, **changes)
@@ -337,18 +333,18 @@ ALARM = Alarm("b.laz", "ground 1 %, usually 40 %")
     ],
 )
 def test_exit_codes(
-    prc: Run,
-    play: Callable[..., None],
-    events: list[Any],
-    code: int,
-) -> None:
+    prc,
+    play,
+    events,
+    code,
+):
     play(*events)
     assert prc("a", "o", "--log-json", "log").code == code
     last = json.loads(Path("log").read_bytes().splitlines()[-1])
     assert (last["event"], last["exit_code"]) == ("run_end", code)
 
 
-def test_quiet_says_what_is_wrong_and_nothing_else(prc: Run, play: Callable[..., None]) -> None:
+def test_quiet_says_what_is_wrong_and_nothing_else(prc, play):
     play(Noted("took over a lock"), done("a.laz"), failed("b.laz"), ALARM, failed("c.laz"))
     lines = prc("a", "o", "--quiet").err.splitlines()
     assert lines[0].endswith("failed b.laz: is cut short; copy it again")
@@ -361,9 +357,7 @@ def test_quiet_says_what_is_wrong_and_nothing_else(prc: Run, play: Callable[...,
 
 
 @pytest.mark.parametrize("options", [(), ("-q",), ("-v",)])
-def test_doubts_are_told_quiet_or_not(
-    prc: Run, play: Callable[..., None], options: tuple[str, ...]
-) -> None:
+def test_doubts_are_told_quiet_or_not(prc, play, options):
     play(replace(done("a.laz"), notices=("a note", "doubt units: odd; check the unit")), DOUBTED)
     result = prc("a", "o", "--log-json", "log", *options)
     warning = "warning: a.laz: units: odd; check the unit; or --accept-doubt units"
@@ -376,14 +370,14 @@ def test_doubts_are_told_quiet_or_not(
     assert events[-1]["doubted"] == 1
 
 
-def test_names_are_not_read_as_anything_else(prc: Run, play: Callable[..., None]) -> None:
+def test_names_are_not_read_as_anything_else(prc, play):
     play(done(":warning:[bold]{x}%s.laz"), failed(":smile:[/].laz"))
     result = prc("a", "o")
     assert "done :warning:[bold]{x}%s.laz: " in result.err
     assert "failed :smile:[/].laz: is cut short" in result.err
 
 
-def test_the_log_on_stdout_is_json_alone(prc: Run, play: Callable[..., None]) -> None:
+def test_the_log_on_stdout_is_json_alone(prc, play):
     play(done(ODD))
     lines = prc("a", "o", "--log-json", "-").out.splitlines()
     assert [json.loads(line)["event"] for line in lines] == [
@@ -396,7 +390,7 @@ def test_the_log_on_stdout_is_json_alone(prc: Run, play: Callable[..., None]) ->
     assert prc("a", "o", "--log-json", "-", "--json").code == 2
 
 
-def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None:
+def test_options_reach_the_settings(prc, play):
     play()
     Path("ref").mkdir()
     options = (
@@ -458,9 +452,7 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
         ("retry o --shard x", "i/n"),
     ],
 )
-def test_wrong_usage_is_exit_code_2(
-    prc: Run, play: Callable[..., None], words: str, expected: str
-) -> None:
+def test_wrong_usage_is_exit_code_2(prc, play, words, expected):
     play()
     Path("o/.prc").mkdir(parents=True)
     Path("o/.prc/journal.sqlite").touch()
@@ -468,7 +460,7 @@ def test_wrong_usage_is_exit_code_2(
     assert (result.code, expected in result.err) == (2, True), result.err
 
 
-def test_a_folder_may_have_the_name_of_a_part(prc: Run, play: Callable[..., None]) -> None:
+def test_a_folder_may_have_the_name_of_a_part(prc, play):
     play()
     assert prc("./status", "./retry").code == 0
     settings: BatchSettings = made_up.settings  # type: ignore[attr-defined]
@@ -476,7 +468,7 @@ def test_a_folder_may_have_the_name_of_a_part(prc: Run, play: Callable[..., None
     assert settings.drift, "unless a user turns it off"
 
 
-def test_an_output_that_was_edited_shows_when_it_is_read(prc: Run, tmp_path: Path) -> None:
+def test_an_output_that_was_edited_shows_when_it_is_read(prc, tmp_path):
     archive = tmp_path / "archive"
     out = tmp_path / "out"
     archive.mkdir()
@@ -500,9 +492,7 @@ def test_an_output_that_was_edited_shows_when_it_is_read(prc: Run, tmp_path: Pat
     assert prc("status", out, "--verify").code == 0, "a run that reads the outputs does it again"
 
 
-def test_status_tells_what_runs_from_what_was_interrupted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_status_tells_what_runs_from_what_was_interrupted(tmp_path, capsys):
     here = Owner(pid=11)
     gone = Owner(pid=22)
     start = "2026-01-01T00:00:00.5+00:00"

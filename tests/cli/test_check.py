@@ -1,7 +1,5 @@
 """``prc check`` and ``prc evaluate CLASSIFIED ANSWERS`` on the command line."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re
@@ -12,12 +10,11 @@ import numpy as np
 import pytest
 
 from prc_cli.core.classes import ClassCodes, Label
-from tests.cli.conftest import Prc
 from tests.street import street, write_npz
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def files(tmp_path_factory):
     """A folder with a drive and labels of it: ground near the scanner, else building."""
     folder = tmp_path_factory.mktemp("check")
     write_npz(folder / "drive.npz", street())
@@ -30,7 +27,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def folder(files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(files, tmp_path, monkeypatch):
     for path in files.iterdir():
         shutil.copy(path, tmp_path)
     monkeypatch.chdir(tmp_path)
@@ -51,7 +48,7 @@ def answer(page: Path, target: Path, wrong: int = 0, person: str = "") -> None:
     target.write_text(json.dumps(table))
 
 
-def test_drawn_answered_and_evaluated(prc: Prc, folder: Path) -> None:
+def test_drawn_answered_and_evaluated(prc, folder):
     drawn = prc("check drive.npz --labels labels.npy --shots 100")
     assert drawn.code == 0, drawn.err
     assert "prc evaluate labels.npy labels_answers.json" in drawn.err
@@ -74,7 +71,7 @@ def test_drawn_answered_and_evaluated(prc: Prc, folder: Path) -> None:
     assert float(rows[0]["value"]) == pytest.approx(accuracy["value"], abs=1e-6)
 
 
-def test_missing_shots_of_a_table_have_no_coordinates(prc: Prc, folder: Path) -> None:
+def test_missing_shots_of_a_table_have_no_coordinates(prc, folder):
     with np.load("drive.npz") as drive:
         ranges = drive["range_m"]
     rows = ["line,column,angle_deg,range_m,x,y,z"]
@@ -89,7 +86,7 @@ def test_missing_shots_of_a_table_have_no_coordinates(prc: Prc, folder: Path) ->
     assert drawn.code == 0, drawn.err
 
 
-def test_two_persons(prc: Prc, folder: Path) -> None:
+def test_two_persons(prc, folder):
     assert prc("check drive.npz c.html --labels labels.npy --shots 50").code == 0
     answer(Path("c.html"), Path("ada.json"), person="Ada")
     answer(Path("c.html"), Path("ben.json"), wrong=5, person="Ben")
@@ -98,7 +95,7 @@ def test_two_persons(prc: Prc, folder: Path) -> None:
     assert "from 50 answers" in result.out
 
 
-def test_answers_to_other_shots_count_together(prc: Prc, folder: Path) -> None:
+def test_answers_to_other_shots_count_together(prc, folder):
     for seed in ("0", "1"):
         page = f"{seed}.html"
         options = ("--labels", "labels.npy", "--shots", "50", "--seed", seed)
@@ -108,7 +105,7 @@ def test_answers_to_other_shots_count_together(prc: Prc, folder: Path) -> None:
     assert 90 < json.loads(result.out)["n_answers"] <= 100
 
 
-def test_what_is_refused(prc: Prc, folder: Path) -> None:
+def test_what_is_refused(prc, folder):
     assert prc("check drive.npz c.html --labels labels.npy --shots 50").code == 0
     answer(Path("c.html"), Path("a.json"))
     evaluate = ("evaluate", "labels.npy", "a.json")

@@ -1,7 +1,5 @@
 """Each command once per mode, on the command line: output, exit code, files."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -25,7 +23,6 @@ from prc_cli.jobs.explain import explain
 from prc_cli.methods.reasons import rule_of
 from prc_cli.simulation.scanners import SCANNERS
 from tests import patience
-from tests.cli.conftest import Prc
 from tests.clouds import seen
 from tests.jobs.test_transfer import Drive, N, write_las
 from tests.methods.fused.street_lines import BEAM, street_lines
@@ -41,9 +38,7 @@ from tests.street import (
 
 
 @pytest.mark.parametrize("options", [(), ("-M", POINTS_PER_LINE - 1), ("-M", 7)])
-def test_info_types_the_m_that_it_found(
-    prc: Prc, tmp_path: Path, options: tuple[object, ...]
-) -> None:
+def test_info_types_the_m_that_it_found(prc, tmp_path, options):
     """Where the number of records speaks against M, or none is given, the command to type has the
     estimate."""
     source = write_raw(tmp_path / "drive.bin", street())
@@ -59,9 +54,7 @@ def test_info_types_the_m_that_it_found(
 
 
 @pytest.mark.slow
-def test_info_doubts_what_classify_doubts_where_heights_explain_it(
-    prc: Prc, tmp_path: Path
-) -> None:
+def test_info_doubts_what_classify_doubts_where_heights_explain_it(prc, tmp_path):
     """Ranges in feet beside heights in metres look like a leaning plane.
 
     PRC does not ask for directions.
@@ -79,7 +72,7 @@ def test_info_doubts_what_classify_doubts_where_heights_explain_it(
     assert prc(*printed["command"].split()[1:], "-q").code == 0
 
 
-def test_info_types_no_command_that_would_be_refused(prc: Prc, tmp_path: Path) -> None:
+def test_info_types_no_command_that_would_be_refused(prc, tmp_path):
     """An option that mends one finding does not help where another speaks against the input."""
     image = street().ravel()
     image[np.isnan(image)] = 500.0
@@ -90,7 +83,7 @@ def test_info_types_no_command_that_would_be_refused(prc: Prc, tmp_path: Path) -
     assert printed["command"] == ""
 
 
-def test_info_goes_on_after_a_bad_file(prc: Prc, tmp_path: Path) -> None:
+def test_info_goes_on_after_a_bad_file(prc, tmp_path):
     source = write_npz(tmp_path / "drive.npz", street())
     none = tmp_path / "none.bin"
     result = prc(f"info {none} {source} --json")
@@ -101,7 +94,7 @@ def test_info_goes_on_after_a_bad_file(prc: Prc, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
+def test_demo_makes_every_file(prc, tmp_path):
     folder = tmp_path / "demo"
     folder.mkdir()
     for name in ("street.png", "street_report.html"):
@@ -147,17 +140,13 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     assert "no trajectory" not in viewer
 
 
-def test_what_takes_long_is_explained(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_takes_long_is_explained(monkeypatch, capsys):
     monkeypatch.setattr(report, "COMPILING_S", 0.0)
     with report.compiling_note(quiet=False):
         wait_until(lambda: "compiles it" in capsys.readouterr().err)
 
 
-def test_a_trajectory_starts_where_it_was_named(
-    prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_trajectory_starts_where_it_was_named(prc, tmp_path, monkeypatch):
     (tmp_path / "conf").mkdir()
     (tmp_path / "conf" / "run.toml").write_text('[input]\nrange = "trajectory:track.csv"\n')
     monkeypatch.chdir(tmp_path)
@@ -170,7 +159,7 @@ def test_a_trajectory_starts_where_it_was_named(
     assert shown["config"]["input"]["range"] == "trajectory:track.csv"
 
 
-def test_signs_of_wrong_rules_are_warned_of(prc: Prc, tmp_path: Path) -> None:
+def test_signs_of_wrong_rules_are_warned_of(prc, tmp_path):
     rows = [f"{line},{column},{5 + column / 100}" for line in range(20) for column in range(30)]
     source = tmp_path / "drive.csv"
     source.write_text("\n".join(["scan_line,column,range", *rows]) + "\n")
@@ -187,7 +176,7 @@ def test_signs_of_wrong_rules_are_warned_of(prc: Prc, tmp_path: Path) -> None:
     assert "warning" not in result.err
 
 
-def test_what_speaks_against_a_stream_is_told_and_it_is_converted(prc: Prc, tmp_path: Path) -> None:
+def test_what_speaks_against_a_stream_is_told_and_it_is_converted(prc, tmp_path):
     shuffled = np.random.default_rng(3).permuted(street(), axis=1)
     source = write_npz(tmp_path / "shuffled.npz", shuffled)
     result = prc(f"convert {source} {tmp_path}/out.npy --json -q")
@@ -206,7 +195,7 @@ def test_what_speaks_against_a_stream_is_told_and_it_is_converted(prc: Prc, tmp_
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """A street, a forest, and a drive that is slow and then stands."""
     place = tmp_path_factory.mktemp("explain")
     ranges = street_lines(40, noise_m=0.0)[0]
@@ -240,7 +229,7 @@ def of_each(reasons: NDArray[np.uint8], seed: int) -> list[tuple[int, int]]:
     return [tuple(there[rng.integers(len(there))].tolist()) for there in places]
 
 
-def test_a_shot_is_explained_with_its_range_and_beam(prc: Prc, folder: Path) -> None:
+def test_a_shot_is_explained_with_its_range_and_beam(prc, folder):
     with np.load(folder / "street.npz") as scan:
         range_m = scan["range_m"][3, 800]
     result = prc(f"explain {folder}/street.npz --at 3,800 --preset fused --set input.nadir=0")
@@ -250,7 +239,7 @@ def test_a_shot_is_explained_with_its_range_and_beam(prc: Prc, folder: Path) -> 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "preset"), CASES)
-def test_class_and_rule_are_those_of_classify(folder: Path, name: str, preset: str | None) -> None:
+def test_class_and_rule_are_those_of_classify(folder, name, preset):
     options = {"input": {"nadir": 0.0}, "output": {"reason": True}}
     loaded = load_config(preset=preset, options=options)
     source = folder / f"{name}.npz"
@@ -279,7 +268,7 @@ def test_class_and_rule_are_those_of_classify(folder: Path, name: str, preset: s
         json.dumps(explanation.as_dict())
 
 
-def test_a_profile_is_part_of_the_json_and_not_of_the_record(prc: Prc, tmp_path: Path) -> None:
+def test_a_profile_is_part_of_the_json_and_not_of_the_record(prc, tmp_path):
     image = street()
     source = write_raw(tmp_path / "drive.bin", image)
     command = f"classify {source} {tmp_path}/a.npy -M {POINTS_PER_LINE} -q --json"
@@ -303,7 +292,7 @@ def test_a_profile_is_part_of_the_json_and_not_of_the_record(prc: Prc, tmp_path:
     assert json.loads(again.out) == {**printed, "doubts": []}
 
 
-def test_outputs_are_whole_or_not_there(prc: Prc, tmp_path: Path) -> None:
+def test_outputs_are_whole_or_not_there(prc, tmp_path):
     source = write_npz(tmp_path / "street.npz", street())
     (tmp_path / "old.toml").write_text("", encoding="utf-8")
     result = prc(f"calibrate {source} -o {tmp_path}/old.toml")
@@ -318,11 +307,11 @@ def test_outputs_are_whole_or_not_there(prc: Prc, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("output", [".", "sub"])
 def test_a_file_is_written_into_a_folder(
-    prc: Prc,
-    tmp_path: Path,
-    output: str,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    prc,
+    tmp_path,
+    output,
+    monkeypatch,
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sub").mkdir()
     drive = write_raw(tmp_path / "drive.bin", street())
@@ -331,7 +320,7 @@ def test_a_file_is_written_into_a_folder(
     assert len(np.load(tmp_path / output / "drive.bin.labels.npy")) == street().size
 
 
-def test_options_that_are_used_are_told(prc: Prc, tmp_path: Path) -> None:
+def test_options_that_are_used_are_told(prc, tmp_path):
     source = write_npz(tmp_path / "drive.npz", 1000 * street())
     result = prc(f"classify {source} {tmp_path}/o.npy --set input.range_scale=0.001 -v")
     assert result.code in (0, 4)
@@ -339,7 +328,7 @@ def test_options_that_are_used_are_told(prc: Prc, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_classify_loads_no_library_that_the_input_does_not_need() -> None:
+def test_classify_loads_no_library_that_the_input_does_not_need():
     """Each costs memory and time in every run."""
     code = (
         "import sys, prc_cli.cli.classify; "
@@ -351,9 +340,7 @@ def test_classify_loads_no_library_that_the_input_does_not_need() -> None:
     assert ended.stdout == "set()\n"
 
 
-def test_a_folder_and_what_lies_beside_a_scan_name_the_file_to_give(
-    prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_and_what_lies_beside_a_scan_name_the_file_to_give(prc, tmp_path, monkeypatch):
     bag = tmp_path / "bag"
     bag.mkdir()
     assert "this folder itself has no scan" in prc(f"info {bag}").err
@@ -378,7 +365,7 @@ def test_a_folder_and_what_lies_beside_a_scan_name_the_file_to_give(
     )
 
 
-def test_only_a_frame_is_read_as_a_frame(prc: Prc, tmp_path: Path) -> None:
+def test_only_a_frame_is_read_as_a_frame(prc, tmp_path):
     frame = np.stack([*frame_xyz(), np.full(64 * 900, 0.3)], axis=1).astype("<f4")
     frame.tofile(tmp_path / "frame.bin")
     result = prc(f"classify {tmp_path}/frame.bin {tmp_path}/frame.laz --accept-doubt ground-below")
@@ -409,7 +396,7 @@ def frame_xyz() -> np.ndarray:
     return seen(distance, azimuth, elevation).T
 
 
-def test_options_of_simulate_win_over_set_and_file(prc: Prc, tmp_path: Path) -> None:
+def test_options_of_simulate_win_over_set_and_file(prc, tmp_path):
     (tmp_path / "a.toml").write_text(
         'lines = 30\n[scanner]\nname = "sick-push-broom"\nslant_deg = 5\n'
     )
@@ -421,7 +408,7 @@ def test_options_of_simulate_win_over_set_and_file(prc: Prc, tmp_path: Path) -> 
     assert (table["scanner"]["points_per_line"], table["trajectory"]["speed_m_s"]) == (361, 2.0)
 
 
-def test_printed_parameters_name_the_preset_of_every_table(prc: Prc, tmp_path: Path) -> None:
+def test_printed_parameters_name_the_preset_of_every_table(prc, tmp_path):
     options = "--set scanner.name=profiler-1mhz --set scanner.slant_deg=30 --set scene.name=suburb"
     text = prc(f"simulate parameters street {options}").out
     assert [line for line in text.splitlines() if line.startswith("[")] == [
@@ -437,7 +424,7 @@ def test_printed_parameters_name_the_preset_of_every_table(prc: Prc, tmp_path: P
     assert "[scanner]\n" in again
 
 
-def test_options_reach_the_transfer(prc: Prc, tmp_path: Path) -> None:
+def test_options_reach_the_transfer(prc, tmp_path):
     drive = Drive()
     rest = np.arange(N, dtype=np.uint32)
     extra = {"head": (rest % 3).astype(np.uint8), "segment_id": rest, "mine": drive.codes}
@@ -463,7 +450,7 @@ def test_options_reach_the_transfer(prc: Prc, tmp_path: Path) -> None:
     assert result.code == 0
 
 
-def test_transfer_with_a_layout(prc: Prc, tmp_path: Path) -> None:
+def test_transfer_with_a_layout(prc, tmp_path):
     drive = Drive()
     registered = write_las(tmp_path / "registered.las", drive, drive.registered())
     layout = tmp_path / "layout.toml"
@@ -480,19 +467,19 @@ def test_transfer_with_a_layout(prc: Prc, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", [("completion",), ("simulate", "parameters")])
-def test_a_missing_choice_is_listed_in_one_line(prc: Prc, command: tuple[str, ...]) -> None:
+def test_a_missing_choice_is_listed_in_one_line(prc, command):
     result = prc(*command)
     assert result.code == 2
     assert re.search(r"needs \{\w+\|[\w-]+\|[\w-]+\}; see prc", result.err)
     assert "\\n" not in result.err
 
 
-def test_long_words_are_whole(capsys: pytest.CaptureFixture[str]) -> None:
+def test_long_words_are_whole(capsys):
     print_facts([("file", "x" * 1000)])
     assert capsys.readouterr().out.count("x") == 1000
 
 
-def test_names_of_scanners_are_whole_in_a_narrow_terminal() -> None:
+def test_names_of_scanners_are_whole_in_a_narrow_terminal():
     command = [sys.executable, "-m", "prc_cli", "simulate", "scanners"]
     narrow = {**os.environ, "COLUMNS": "60"}
     ended = patience.run(command, env=narrow, capture_output=True, text=True)

@@ -1,7 +1,5 @@
 """Confidence through the command line: written, evaluated, filtered by, drawn."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -17,7 +15,7 @@ SET = ("--preset", "fused", "--set", "output.confidence=true", "--set", "input.n
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """A scan and its reference."""
     np.savez(tmp_path / "scan.npz", range_m=RANGES, angle_deg=np.rad2deg(BEAM))
     codes = np.select([np.isnan(RANGES), KIND == GROUND, KIND == BUILDING], [0, 2, 6], 5)
@@ -37,7 +35,7 @@ def values(path: Path) -> np.ndarray:
     return np.loadtxt(path, delimiter=",", skiprows=1, usecols=3)
 
 
-def test_evaluate_tells_how_reliable_it_is(prc: Prc, folder: Path) -> None:
+def test_evaluate_tells_how_reliable_it_is(prc, folder):
     labels = classified(prc, folder, ".csv")
     command = ("evaluate", labels, folder / "truth.npy", "--mapping", "street")
     shown = prc(*command, "--by", "confidence:50,90,99")
@@ -58,7 +56,7 @@ def test_evaluate_tells_how_reliable_it_is(prc: Prc, folder: Path) -> None:
     assert parts[-1]["n_scored"] == (sure >= 99).sum()
 
 
-def test_evaluate_without_it(prc: Prc, folder: Path) -> None:
+def test_evaluate_without_it(prc, folder):
     np.save(folder / "labels.npy", np.load(folder / "truth.npy"))
     result = prc(f"evaluate {folder}/labels.npy {folder}/truth.npy --by confidence:90")
     assert result.code == 2
@@ -68,7 +66,7 @@ def test_evaluate_without_it(prc: Prc, folder: Path) -> None:
     assert (result.code, "expected increasing percentages" in result.err) == (2, True)
 
 
-def test_thin_drops_what_is_not_sure(prc: Prc, folder: Path) -> None:
+def test_thin_drops_what_is_not_sure(prc, folder):
     labels = classified(prc, folder, ".csv")
     least = ("--min-confidence", "95", "--keep", "noise=1")
     result = prc(f"thin {folder}/scan.npz {folder}/thin.npz --labels {labels}", *least)
@@ -94,9 +92,7 @@ def test_thin_drops_what_is_not_sure(prc: Prc, folder: Path) -> None:
         assert not (folder / "no.npz").exists()
 
 
-def test_the_most_confident_of_a_real_strip_are_right(
-    prc: Prc, real_data: Path, tmp_path: Path
-) -> None:
+def test_the_most_confident_of_a_real_strip_are_right(prc, real_data, tmp_path):
     strip = real_data / "oakland" / "oakland_1.csv.gz"
     labels = tmp_path / "labels.csv"
     options = ("--preset", "fused", "--set", "output.confidence=true", "-q")

@@ -1,9 +1,6 @@
 """The default: what a user gets who names no method, in every command, and that it is said."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +9,6 @@ import prc_cli
 from prc_cli import classify_ranges, load_config
 from prc_cli.config import RunConfig, from_layers, preset_table
 from prc_cli.core.errors import ConfigError, InputError
-from tests.cli.conftest import Prc
 from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.streams.evidence.test_estimates import forest_lines
 
@@ -21,7 +17,7 @@ ANGLES = f"-M {M} --set input.angle_start=-150 --set input.angle_step=0.2 --set 
 
 
 @pytest.fixture
-def scans(tmp_path: Path) -> Path:
+def scans(tmp_path):
     """A folder with a street and a forest as dumps without angles, and as arrays with them."""
     for name, ranges in (("street", street_lines(140)[0]), ("forest", forest_lines(140))):
         ranges.tofile(tmp_path / f"{name}.bin")
@@ -39,9 +35,7 @@ CASES = (
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "options", "preset"), CASES)
-def test_the_default_is_a_preset_and_says_so(
-    prc: Prc, scans: Path, name: str, options: str, preset: str
-) -> None:
+def test_the_default_is_a_preset_and_says_so(prc, scans, name, options, preset):
     result = prc(f"classify {scans}/{name} {scans}/a.npy {options}")
     assert result.code == 0, result.err
     assert f"method: fused (--preset {preset}): " in result.err
@@ -59,7 +53,7 @@ def test_the_default_is_a_preset_and_says_so(
 
 
 @pytest.mark.slow
-def test_what_is_asked_for_may_leave_one_method(prc: Prc, scans: Path) -> None:
+def test_what_is_asked_for_may_leave_one_method(prc, scans):
     source = f"{scans}/street.npz"
     down = "--set input.nadir=0"
     for options in (
@@ -77,7 +71,7 @@ def test_what_is_asked_for_may_leave_one_method(prc: Prc, scans: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_batch_chooses_for_every_file_and_resumes(prc: Prc, scans: Path) -> None:
+def test_a_batch_chooses_for_every_file_and_resumes(prc, scans):
     (scans / "in").mkdir()
     for name in ("street.npz", "forest.npz"):
         (scans / name).rename(scans / "in" / name)
@@ -99,7 +93,7 @@ def test_a_batch_chooses_for_every_file_and_resumes(prc: Prc, scans: Path) -> No
     assert {path: path.stat().st_mtime_ns for path in (scans / "out").rglob("*.npy")} != before
 
 
-def test_tables_and_presets_decide() -> None:
+def test_tables_and_presets_decide():
     assert RunConfig().method == "auto"
     assert not RunConfig().is_decided
     assert RunConfig.model_validate({"sequential_angle": {}}).method == "sequential-angle"
@@ -116,7 +110,7 @@ def test_tables_and_presets_decide() -> None:
 
 
 @pytest.mark.slow
-def test_python_has_the_defaults_of_the_commands(prc: Prc, scans: Path) -> None:
+def test_python_has_the_defaults_of_the_commands(prc, scans):
     """Angles as files have them, the class mapping of the run, the same JSON."""
     record = json.loads(prc(f"classify {scans}/street.npz {scans}/a.npy --json -q").out)
     run = prc_cli.classify(scans / "street.npz", scans / "b.npy")
@@ -148,7 +142,7 @@ def test_python_has_the_defaults_of_the_commands(prc: Prc, scans: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.data
-def test_real_scans_get_what_labels_them_best(prc: Prc, real_data: Path) -> None:
+def test_real_scans_get_what_labels_them_best(prc, real_data):
     for name, preset in (("oakland/oakland_2.csv.gz", "fused"), ("forest/tls_park.npz", "fused")):
         report = prc.json(f"info {real_data}/{name}")
         assert report["choice"]["preset"] == preset

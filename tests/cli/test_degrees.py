@@ -1,17 +1,12 @@
 """Points in longitude and latitude keep their place in a LAS output."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import laspy
 import numpy as np
 
-from tests.cli.conftest import Prc
 from tests.street import angles, street
 
 
-def test_degrees_are_written_in_steps_of_a_millimetre(prc: Prc, tmp_path: Path) -> None:
+def test_degrees_are_written_in_steps_of_a_millimetre(prc, tmp_path):
     image = street(80)
     line, column = np.nonzero(np.isfinite(image))
     range_m = image[line, column].astype(np.float64)

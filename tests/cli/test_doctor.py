@@ -1,7 +1,5 @@
 """``prc doctor`` finds faults, says what to do, and leaves no files."""
 
-from __future__ import annotations
-
 import errno
 import importlib.metadata as metadata
 import json
@@ -19,7 +17,6 @@ from prc_cli.jobs import doctor
 from prc_cli.jobs.classify import ClassifiedRanges
 from prc_cli.jobs.doctor import Check, examine
 from tests import patience
-from tests.cli.conftest import Prc
 
 
 def checks(out: Path | None = None) -> dict[str, Check]:
@@ -27,7 +24,7 @@ def checks(out: Path | None = None) -> dict[str, Check]:
 
 
 @pytest.mark.slow
-def test_this_installation_is_sound_from_end_to_end(prc: Prc, tmp_path: Path) -> None:
+def test_this_installation_is_sound_from_end_to_end(prc, tmp_path):
     result = prc(f"doctor --json {tmp_path}/new/folder")
     report = json.loads(result.out)
     by_name = {check["name"]: check for check in report["checks"]}
@@ -44,7 +41,7 @@ def test_this_installation_is_sound_from_end_to_end(prc: Prc, tmp_path: Path) ->
     assert list(tmp_path.iterdir()) == []
 
 
-def test_bounds_come_from_the_installed_metadata() -> None:
+def test_bounds_come_from_the_installed_metadata():
     details = checks()["packages"].details
     for text in metadata.requires("prc-cli") or []:
         if "extra" not in text:
@@ -54,8 +51,8 @@ def test_bounds_come_from_the_installed_metadata() -> None:
 
 
 def test_an_old_and_a_missing_package_are_bad_and_name_the_remedy(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     monkeypatch.setattr(
         metadata, "requires", lambda name: ["numpy>=999.1", "no-such-thing>=2", "click>=8"]
     )
@@ -65,7 +62,7 @@ def test_an_old_and_a_missing_package_are_bad_and_name_the_remedy(
     assert check.hint == "pip install 'numpy>=999.1' 'no-such-thing>=2'"
 
 
-def test_laz_that_comes_back_different_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_laz_that_comes_back_different_is_bad(monkeypatch):
     class Broken:
         def __init__(self, *_: object) -> None:
             pass
@@ -79,9 +76,7 @@ def test_laz_that_comes_back_different_is_bad(monkeypatch: pytest.MonkeyPatch) -
     assert "differ" in check.text
 
 
-def test_a_file_system_without_locks_is_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_system_without_locks_is_said(tmp_path, monkeypatch):
     fcntl = pytest.importorskip("fcntl")
     assert checks(tmp_path)["locks in it"].status == "ok"
 
@@ -96,9 +91,7 @@ def test_a_file_system_without_locks_is_said(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("package", ["lazrs", "numba"])
-def test_a_package_that_does_not_load_is_named_and_the_rest_is_looked_at(
-    tmp_path: Path, package: str
-) -> None:
+def test_a_package_that_does_not_load_is_named_and_the_rest_is_looked_at(tmp_path, package):
     (tmp_path / f"{package}.py").write_text("raise ImportError('libwhatever.so.3 is not there')\n")
     command = [
         sys.executable,
@@ -120,7 +113,7 @@ def test_a_package_that_does_not_load_is_named_and_the_rest_is_looked_at(
     assert by_name["journal in it"]["status"] == "ok"
 
 
-def test_a_check_that_breaks_down_does_not_end_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_check_that_breaks_down_does_not_end_the_others(monkeypatch):
     def broken() -> Iterator[Check]:
         raise ZeroDivisionError
         yield
@@ -132,7 +125,7 @@ def test_a_check_that_breaks_down_does_not_end_the_others(monkeypatch: pytest.Mo
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write everywhere")
-def test_a_folder_that_cannot_be_written_is_bad(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_bad(tmp_path):
     tmp_path.chmod(0o500)
     try:
         assert checks(tmp_path)[f"output folder {tmp_path}"].status == "bad"
@@ -140,7 +133,7 @@ def test_a_folder_that_cannot_be_written_is_bad(tmp_path: Path) -> None:
         tmp_path.chmod(0o700)
 
 
-def test_compiled_loops_that_give_other_labels_are_bad(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_loops_that_give_other_labels_are_bad(monkeypatch):
     def wrong(range_m: F32, *_: object, engine: str = "compiled", **__: object) -> ClassifiedRanges:
         return ClassifiedRanges(
             np.full(range_m.shape, engine == "compiled", np.uint8), ClassCodes()

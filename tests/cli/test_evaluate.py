@@ -1,7 +1,5 @@
 """``prc evaluate`` on the command line: files of every format, folders, gates, errors."""
 
-from __future__ import annotations
-
 import csv
 import json
 from collections.abc import Callable
@@ -19,7 +17,7 @@ Prc = Callable[..., Result]
 
 
 @pytest.fixture
-def prc(prc: Prc) -> Prc:
+def prc(prc):
     """Run ``prc evaluate``."""
     return lambda line, *arguments: prc(f"evaluate {line}", *arguments)
 
@@ -58,12 +56,12 @@ def record(path: Path, method: str, **tables: object) -> None:
     ],
 )
 def test_the_run_record_beside_the_predicted_file_names_the_mapping(
-    prc: Prc,
-    tmp_path: Path,
-    method: str,
-    tables: dict[str, object],
-    mapping: str,
-) -> None:
+    prc,
+    tmp_path,
+    method,
+    tables,
+    mapping,
+):
     paths = save(tmp_path, "a", [2, 2, 65, 66, 5, 0], [2, 2, 65, 5, 5, 0])
     record(paths[0], method, **tables)
     code, out, err = prc(*paths, "--json")
@@ -75,7 +73,7 @@ def test_the_run_record_beside_the_predicted_file_names_the_mapping(
     assert prc(*paths, "-q") == (0, "", "")
 
 
-def test_codes_of_one_kind_of_data_have_the_mapping_of_the_method(prc: Prc, tmp_path: Path) -> None:
+def test_codes_of_one_kind_of_data_have_the_mapping_of_the_method(prc, tmp_path):
     np.save(tmp_path / "a.npy", np.array([2, 5, 65], np.uint8))
     np.array([40, 70, 10], "<u4").tofile(tmp_path / "a.label")
     np.save(tmp_path / "oakland.npy", np.array([1203, 1300, 1501], np.uint16))
@@ -96,9 +94,7 @@ def test_codes_of_one_kind_of_data_have_the_mapping_of_the_method(prc: Prc, tmp_
     assert "none of 3 records has a class to score" in prc(f"{tmp_path}/a.npy {tmp_path}/a.npy")[2]
 
 
-def test_files_of_different_methods_are_compared_in_the_classes_of_prc(
-    prc: Prc, tmp_path: Path
-) -> None:
+def test_files_of_different_methods_are_compared_in_the_classes_of_prc(prc, tmp_path):
     for name in ("a", "b"):
         save(tmp_path, name, [2, 2, 65, 66], [2, 2, 65, 5])
         record(tmp_path / "run" / f"{name}.npy", "fused", fused={"environment": "urban"})
@@ -123,11 +119,11 @@ def test_files_of_different_methods_are_compared_in_the_classes_of_prc(
     ],
 )
 def test_two_methods_are_compared_in_the_classes_of_both(
-    prc: Prc,
-    tmp_path: Path,
-    methods: tuple[str, str],
-    mapping: str,
-) -> None:
+    prc,
+    tmp_path,
+    methods,
+    mapping,
+):
     paths = save(tmp_path, "a", [2, 6, 6, 65], [2, 6, 66, 65])
     for path, method in zip(paths, methods, strict=True):
         record(path, method, fused={"environment": "urban"})
@@ -141,7 +137,7 @@ def test_two_methods_are_compared_in_the_classes_of_both(
         assert err == f"{said}; --mapping names another\n"
 
 
-def test_a_reference_of_class_names_is_read(prc: Prc, tmp_path: Path) -> None:
+def test_a_reference_of_class_names_is_read(prc, tmp_path):
     np.save(tmp_path / "a.npy", np.array([2, 6, 65], np.uint8))
     (tmp_path / "names.csv").write_text(
         "record,class\n0,ground\n1,building\n2,car\n", encoding="utf-8"
@@ -166,7 +162,7 @@ SHUFFLED = [5, 2, 0, 7, 1, 3, 6, 4]
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
-def test_rows_with_record_numbers_are_paired_by_them(prc: Prc, tmp_path: Path, form: str) -> None:
+def test_rows_with_record_numbers_are_paired_by_them(prc, tmp_path, form):
     np.save(tmp_path / "r.npy", np.array(CODES, np.uint8))
     path = rows(tmp_path / "p.csv", CODES, SHUFFLED)
     if form == "parquet":
@@ -178,9 +174,7 @@ def test_rows_with_record_numbers_are_paired_by_them(prc: Prc, tmp_path: Path, f
     assert "matched by record number" in out
 
 
-def test_numbers_from_one_and_two_files_in_one_other_order_are_in_order(
-    prc: Prc, tmp_path: Path
-) -> None:
+def test_numbers_from_one_and_two_files_in_one_other_order_are_in_order(prc, tmp_path):
     np.save(tmp_path / "r.npy", np.array(CODES, np.uint8))
     assert (
         "Matched by order"
@@ -190,16 +184,14 @@ def test_numbers_from_one_and_two_files_in_one_other_order_are_in_order(
     assert "accuracy 1.000" in prc(*both)[1]
 
 
-def test_record_numbers_that_a_file_of_points_lacks(prc: Prc, tmp_path: Path) -> None:
+def test_record_numbers_that_a_file_of_points_lacks(prc, tmp_path):
     make_las(tmp_path / "r.las", 6, n=8)
     code, _, err = prc(rows(tmp_path / "p.csv", CODES, SHUFFLED), tmp_path / "r.las")
     assert code == 1
     assert "rows are not in the order of their record numbers" in err
 
 
-def test_lengths_are_compared_before_anything_is_read(
-    prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lengths_are_compared_before_anything_is_read(prc, tmp_path, monkeypatch):
     """Equal labels take no bytes in a table: a small file may hold any number."""
     np.save(tmp_path / "r.npy", np.array(CODES, np.uint8))
     pq.write_table(pa.table({"class": np.full(9, 2, np.uint8)}), tmp_path / "p.parquet")
@@ -231,13 +223,13 @@ AREAS = {
     ],
 )
 def test_odd_trees_and_areas_are_refused_in_one_line(
-    prc: Prc,
-    tmp_path: Path,
-    option: str,
-    name: str,
-    text: str,
-    message: str,
-) -> None:
+    prc,
+    tmp_path,
+    option,
+    name,
+    text,
+    message,
+):
     make_las(tmp_path / "a.las", 6, n=20)
     (tmp_path / name).write_text(text)
     code, _, err = prc(

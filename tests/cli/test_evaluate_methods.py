@@ -1,7 +1,5 @@
 """`prc evaluate PREDICTED... REFERENCE`: several methods in one table."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path
@@ -17,7 +15,7 @@ OTHER = 65
 
 
 @pytest.fixture(scope="module")
-def table_i(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def table_i(tmp_path_factory):
     """Write both methods of Table I of Lehtola et al. (2019), and their reference."""
     folder = tmp_path_factory.mktemp("table_i")
     np.save(folder / "car.npy", np.repeat((*CODES, OTHER), 1000).astype(np.uint8))
@@ -41,7 +39,7 @@ def written(prc: Prc, path: Path, *command: str) -> str:
     return path.read_text()
 
 
-def test_table_i_has_a_column_for_each_method(prc: Prc, table_i: Path) -> None:
+def test_table_i_has_a_column_for_each_method(prc, table_i):
     done = prc(*arguments(table_i))
     assert done.code == 0
     rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in done.out.splitlines()]
@@ -53,7 +51,7 @@ def test_table_i_has_a_column_for_each_method(prc: Prc, table_i: Path) -> None:
         assert [float(cell) for cell in cells] == pytest.approx(printed, abs=0.0011)
 
 
-def test_the_confusion_of_the_paper_is_written(prc: Prc, table_i: Path, tmp_path: Path) -> None:
+def test_the_confusion_of_the_paper_is_written(prc, table_i, tmp_path):
     text = written(prc, tmp_path / "a.md", *arguments(table_i))
     lines = [" ".join(line.split()) for line in text.splitlines()]
     for shares in TABLE_I.values():
@@ -62,7 +60,7 @@ def test_the_confusion_of_the_paper_is_written(prc: Prc, table_i: Path, tmp_path
             assert any(line.endswith(f"{' | '.join(cells)} |") for line in lines)
 
 
-def test_every_cell_is_that_of_a_single_run(prc: Prc, table_i: Path, tmp_path: Path) -> None:
+def test_every_cell_is_that_of_a_single_run(prc, table_i, tmp_path):
     table = json.loads(prc(*arguments(table_i), "--json", "--intervals", "-M", "5").out)
     lines = list(csv.DictReader(written(prc, tmp_path / "a.csv", *arguments(table_i)).splitlines()))
     for zeta_p in TABLE_I:
@@ -79,7 +77,7 @@ def test_every_cell_is_that_of_a_single_run(prc: Prc, table_i: Path, tmp_path: P
         )
 
 
-def test_page_has_every_method(prc: Prc, table_i: Path, tmp_path: Path) -> None:
+def test_page_has_every_method(prc, table_i, tmp_path):
     page = tmp_path / "page.html"
     assert prc(*arguments(table_i), "--output", str(page), "-q").code == 0
     text = page.read_text(encoding="utf-8")
@@ -88,7 +86,7 @@ def test_page_has_every_method(prc: Prc, table_i: Path, tmp_path: Path) -> None:
     assert 'src="http' not in text
 
 
-def test_names_come_from_records_names_and_files(prc: Prc, table_i: Path, tmp_path: Path) -> None:
+def test_names_come_from_records_names_and_files(prc, table_i, tmp_path):
     labels = np.load(table_i / "zeta_0.1.npy")
     for name in ("monday", "tuesday", "by_hand"):
         np.save(tmp_path / f"{name}.npy", labels)
@@ -105,9 +103,7 @@ def test_names_come_from_records_names_and_files(prc: Prc, table_i: Path, tmp_pa
 
 
 @pytest.mark.parametrize("option", [("--third", "car.npy"), ("--by", "range:5,10")])
-def test_options_for_one_prediction_are_refused(
-    prc: Prc, table_i: Path, option: tuple[str, str]
-) -> None:
+def test_options_for_one_prediction_are_refused(prc, table_i, option):
     name, value = option
     value = str(table_i / value) if name == "--third" else value
     done = prc(*arguments(table_i), name, value)
@@ -115,14 +111,14 @@ def test_options_for_one_prediction_are_refused(
     assert "expected one" in done.err
 
 
-def test_gates_hold_for_every_method(prc: Prc, table_i: Path) -> None:
+def test_gates_hold_for_every_method(prc, table_i):
     done = prc(*arguments(table_i), "--fail-under", "recall.ground=0.9")
     assert done.code == 3
     assert "PRC 0.1: recall.ground" in done.err
     assert "PRC 1.0" not in done.err
 
 
-def test_one_file_is_refused(prc: Prc, table_i: Path) -> None:
+def test_one_file_is_refused(prc, table_i):
     done = prc(f"evaluate {table_i}/car.npy")
     assert done.code == 2
     assert "REFERENCE" in done.err

@@ -1,7 +1,5 @@
 """A library that ends its process costs one line and exit code 1, and leaves nothing behind."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -68,7 +66,7 @@ def crashed(number: int, *words: str | Path) -> subprocess.CompletedProcess[str]
 
 
 @pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGABRT, signal.SIGKILL])
-def test_a_signal_becomes_a_line(tmp_path: Path, number: signal.Signals) -> None:
+def test_a_signal_becomes_a_line(tmp_path, number):
     (tmp_path / "a\x1b.laz").touch()
     ended = crashed(number, "classify", tmp_path / "a\x1b.laz", tmp_path / "o.laz")
     assert ended.returncode == 1
@@ -85,9 +83,7 @@ def test_a_signal_becomes_a_line(tmp_path: Path, number: signal.Signals) -> None
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGUSR1])
-def test_a_signal_of_somebody_ends_it_as_it_would_without(
-    tmp_path: Path, number: signal.Signals
-) -> None:
+def test_a_signal_of_somebody_ends_it_as_it_would_without(tmp_path, number):
     ended = crashed(number, "classify", tmp_path / "a.laz", tmp_path / "o.laz")
     assert (ended.returncode, ended.stderr) == (-number, "from Python\n")
     assert os.listdir(tmp_path) == []
@@ -102,7 +98,7 @@ def test_a_signal_of_somebody_ends_it_as_it_would_without(
         ("convert", "{case}", "{out}/o.las"),
     ],
 )
-def test_laz_made_to_end_a_process(tmp_path: Path, words: tuple[str, ...]) -> None:
+def test_laz_made_to_end_a_process(tmp_path, words):
     case = tmp_path / "a.laz"
     out = tmp_path / "out"
     case.write_bytes(overflowing())
@@ -127,7 +123,7 @@ def test_laz_made_to_end_a_process(tmp_path: Path, words: tuple[str, ...]) -> No
 
 
 @pytest.mark.slow
-def test_a_panic_of_a_library_is_not_shown(tmp_path: Path) -> None:
+def test_a_panic_of_a_library_is_not_shown(tmp_path):
     """A bad block: lazrs panics or overflows its stack; either way the damage is one line."""
     sound = seed("pf6.laz")
     case = tmp_path / "a.laz"
@@ -138,7 +134,7 @@ def test_a_panic_of_a_library_is_not_shown(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_exit_codes_and_output_pass(tmp_path: Path) -> None:
+def test_exit_codes_and_output_pass(tmp_path):
     (tmp_path / "a.npz").write_bytes(seed("a.npz"))
     runs = [prc("info", tmp_path / "a.npz", "--json", guarded=guarded) for guarded in (True, False)]
     assert runs[0].stdout == runs[1].stdout != ""
@@ -149,7 +145,7 @@ def test_exit_codes_and_output_pass(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("number", "to_all"), [(signal.SIGTERM, False), (signal.SIGTERM, True), (signal.SIGINT, True)]
 )
-def test_signals_reach_the_work_once(number: signal.Signals, to_all: bool) -> None:
+def test_signals_reach_the_work_once(number, to_all):
     """As ``kill`` and a scheduler send them.
 
     To the process that was started, or to all of its group.
@@ -206,9 +202,7 @@ cli.main()
 @pytest.mark.parametrize(
     "numbers", [(signal.SIGTERM,), (signal.SIGINT,), (signal.SIGINT, signal.SIGTERM)]
 )
-def test_a_library_that_never_returns_ends_all_the_same(
-    tmp_path: Path, numbers: tuple[signal.Signals, ...]
-) -> None:
+def test_a_library_that_never_returns_ends_all_the_same(tmp_path, numbers):
     """After one signal and some patience, or at once after the second."""
     (tmp_path / "a.db3").touch()
     command = [sys.executable, "-c", ENDLESS, "600", "info", str(tmp_path / "a.db3")]
@@ -228,7 +222,7 @@ def test_a_library_that_never_returns_ends_all_the_same(
 
 
 @pytest.mark.slow
-def test_a_step_has_a_limit_of_processor_time(tmp_path: Path) -> None:
+def test_a_step_has_a_limit_of_processor_time(tmp_path):
     (tmp_path / "a.db3").touch()
     command = [sys.executable, "-c", ENDLESS, "1", "info", str(tmp_path / "a.db3")]
     ended = patience.run(command, capture_output=True, text=True, env=ENVIRONMENT)
@@ -240,7 +234,7 @@ def test_a_step_has_a_limit_of_processor_time(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_page_that_says_two_gigabytes_is_one_line(tmp_path: Path) -> None:
+def test_a_page_that_says_two_gigabytes_is_one_line(tmp_path):
     path = huge_page(tmp_path / "a.parquet")
     ended = prc("evaluate", path, path, "--dimension", "range", "--dimension", "reference=range")
     assert (ended.returncode, folded(ended.stderr).count("\n")) == (1, 1), ended.stderr
@@ -248,7 +242,7 @@ def test_a_page_that_says_two_gigabytes_is_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_work_ends_with_its_guard() -> None:
+def test_the_work_ends_with_its_guard():
     with patience.start(
         STREAM, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=ENVIRONMENT
     ) as process:
@@ -269,7 +263,7 @@ def _runs(process: str) -> bool:
         return False
 
 
-def test_every_command_that_reads_files_is_guarded() -> None:
+def test_every_command_that_reads_files_is_guarded():
     assert set(COMMANDS) > watching.UNGUARDED
     assert not watching.UNGUARDED & {
         "info",
@@ -295,7 +289,7 @@ def run(redirection: str, *arguments: str) -> tuple[int, bytes, str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("redirection", "name"), [("<&-", "stdin"), (">&-", "stdout")])
-def test_a_live_stream_needs_both_ends(redirection: str, name: str) -> None:
+def test_a_live_stream_needs_both_ends(redirection, name):
     code, out, err = run(redirection, "stream", "-M", "9")
     assert (code, out) == (2, b"")
     assert f"{name} is closed" in err
@@ -303,7 +297,7 @@ def test_a_live_stream_needs_both_ends(redirection: str, name: str) -> None:
 
 
 @pytest.mark.slow
-def test_files_are_written_though_nobody_listens(tmp_path: Path) -> None:
+def test_files_are_written_though_nobody_listens(tmp_path):
     source = tmp_path / "drive.bin"
     output = tmp_path / "labels.npy"
     np.full((20, 9), 7.0, np.float32).tofile(source)
@@ -330,7 +324,7 @@ print("still running")
 
 @pytest.mark.skipif(os.name != "posix", reason="sends itself a signal")
 @pytest.mark.parametrize(("name", "code"), [("SIGTERM", 143), ("SIGINT", -2)])
-def test_it_comes_again(name: str, code: int) -> None:
+def test_it_comes_again(name, code):
     program = PROGRAM.format(name=name, hangs=HANGS_S)
     done = patience.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (code, "")

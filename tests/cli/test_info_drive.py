@@ -1,15 +1,11 @@
 """``prc info`` of several files: one command for a drive, else one for each file."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex
-from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import Prc
 from tests.formats.bags import recordings as bags
 from tests.formats.bags.test_times import messages
 from tests.formats.packets import captures
@@ -20,7 +16,7 @@ def commands(out: str) -> list[str]:
     return re.findall(r"^type: (.*)$", out, re.MULTILINE)
 
 
-def test_a_drive_gets_one_command_that_runs(prc: Prc, tmp_path: Path) -> None:
+def test_a_drive_gets_one_command_that_runs(prc, tmp_path):
     _, parts = cut_laz(tmp_path)
     out = prc("info", *parts).out
     folder = tmp_path / "classified"
@@ -33,9 +29,7 @@ def test_a_drive_gets_one_command_that_runs(prc: Prc, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("gap_s", [0.0, 7.0])
-def test_files_that_do_not_continue_each_other_get_a_command_each(
-    prc: Prc, tmp_path: Path, gap_s: float
-) -> None:
+def test_files_that_do_not_continue_each_other_get_a_command_each(prc, tmp_path, gap_s):
     """In another order, or with a gap of time."""
     _, parts = cut_laz(tmp_path, gap_s=gap_s)
     parts = parts if gap_s else parts[::-1]
@@ -44,12 +38,12 @@ def test_files_that_do_not_continue_each_other_get_a_command_each(
     assert "continue each other" not in out
 
 
-def test_dumps_do_not_show_that_they_are_one_drive(prc: Prc, tmp_path: Path) -> None:
+def test_dumps_do_not_show_that_they_are_one_drive(prc, tmp_path):
     _, parts = cut_raw(tmp_path)
     assert "continue each other" not in prc("info", *parts, "-M", 180).out
 
 
-def test_files_that_need_other_options_get_a_command_each(prc: Prc, tmp_path: Path) -> None:
+def test_files_that_need_other_options_get_a_command_each(prc, tmp_path):
     _, parts = cut_laz(tmp_path)
     (tmp_path / "other").mkdir()
     twin = parts[1].rename(tmp_path / "other" / parts[0].name)
@@ -58,7 +52,7 @@ def test_files_that_need_other_options_get_a_command_each(prc: Prc, tmp_path: Pa
     assert len(commands(out)) == 3, "two outputs would have one name"
 
 
-def test_bags_and_captures_of_a_drive(prc: Prc, tmp_path: Path) -> None:
+def test_bags_and_captures_of_a_drive(prc, tmp_path):
     sent = messages(bags.drive(800))
     parts = [bags.write_bag(tmp_path / f"a_{k}.bag", sent[2 * k : 2 * k + 2]) for k in range(2)]
     assert "the 2 files continue each other" in prc("info", *parts).out
@@ -71,7 +65,7 @@ def test_bags_and_captures_of_a_drive(prc: Prc, tmp_path: Path) -> None:
     assert "the 2 files continue each other" in prc("info", *parts).out
 
 
-def test_rings_that_fire_in_turns_are_in_order(prc: Prc, tmp_path: Path) -> None:
+def test_rings_that_fire_in_turns_are_in_order(prc, tmp_path):
     """The verdict was no for a file that ``prc classify`` labels."""
     scan = tmp_path / "spin.laz"
     prc(f"simulate street {scan} --scanner vlp-32c --duration 0.3 --seed 1 -q")

@@ -3,8 +3,6 @@
 What was found, the path as an output, and a trajectory held against it.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -12,14 +10,12 @@ import numpy as np
 import pytest
 
 from prc_cli.streams.trajectory import load_trajectory
-from tests.cli.conftest import Prc
 from tests.streams.registered.corridor import (
     DURATION_S,
     EPSG,
     HEIGHT_M,
     LINES_HZ,
     SHOTS_HZ,
-    Corridor,
     make_corridor,
     stations,
     write_cloud,
@@ -30,16 +26,16 @@ BEGIN_S = 100.0
 
 
 @pytest.fixture(scope="module")
-def corridor() -> Corridor:
+def corridor():
     return make_corridor(begin_s=BEGIN_S)
 
 
 @pytest.fixture(scope="module")
-def cloud(tmp_path_factory: pytest.TempPathFactory, corridor: Corridor) -> Path:
+def cloud(tmp_path_factory, corridor):
     return write_cloud(tmp_path_factory.mktemp("clouds") / "tile.las", corridor, epsg=EPSG)
 
 
-def test_what_was_found_is_said(prc: Prc, cloud: Path) -> None:
+def test_what_was_found_is_said(prc, cloud):
     result = prc(f"info {cloud} --range points")
     said = " ".join(result.out.split())
     for words in (
@@ -60,12 +56,12 @@ def test_what_was_found_is_said(prc: Prc, cloud: Path) -> None:
 
 
 def test_nothing_is_reconstructed_unless_it_is_asked_for(
-    prc: Prc,
-    cloud: Path,
-    tmp_path: Path,
-    corridor: Corridor,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    prc,
+    cloud,
+    tmp_path,
+    corridor,
+    monkeypatch,
+):
     def refuse(*_: object) -> None:
         raise AssertionError
 
@@ -82,9 +78,7 @@ def off_m(path: Path, crs: str | None = None) -> float:
     return float(np.abs(trajectory.xyz_m - stations(trajectory.time_s - BEGIN_S)).max())
 
 
-def test_the_path_is_written_with_its_uncertainty_and_read_again(
-    prc: Prc, cloud: Path, tmp_path: Path
-) -> None:
+def test_the_path_is_written_with_its_uncertainty_and_read_again(prc, cloud, tmp_path):
     output = tmp_path / "path.csv"
     assert prc(f"info {cloud} --range points --path {output}").code == 0
     table = np.genfromtxt(output, delimiter=",", names=True)
@@ -100,9 +94,7 @@ def test_the_path_is_written_with_its_uncertainty_and_read_again(
     assert prc(f"info {cloud} --range points --path {output} --overwrite").code == 0
 
 
-def test_the_path_as_sbet_is_read_by_the_definition_of_the_format(
-    prc: Prc, cloud: Path, tmp_path: Path
-) -> None:
+def test_the_path_as_sbet_is_read_by_the_definition_of_the_format(prc, cloud, tmp_path):
     output = tmp_path / "path.sbet"
     assert prc(f"info {cloud} --range points --path {output}").code == 0
     assert off_m(output, f"EPSG:{EPSG}") < 0.02
@@ -126,14 +118,14 @@ def test_the_path_as_sbet_is_read_by_the_definition_of_the_format(
     ],
 )
 def test_a_path_that_cannot_be_written_is_refused(
-    prc: Prc,
-    tmp_path: Path,
-    corridor: Corridor,
-    name: str,
-    words: tuple[str, ...],
-    code: int,
-    said: str,
-) -> None:
+    prc,
+    tmp_path,
+    corridor,
+    name,
+    words,
+    code,
+    said,
+):
     cloud = write_cloud(tmp_path / "local.las", corridor)
     result = prc(f"info {cloud}", *words, "--path", tmp_path / name)
     assert (result.code, said in result.err) == (code, True), result.err
@@ -142,11 +134,11 @@ def test_a_path_that_cannot_be_written_is_refused(
 
 
 def test_a_path_never_replaces_an_input(
-    prc: Prc,
-    cloud: Path,
-    tmp_path: Path,
-    corridor: Corridor,
-) -> None:
+    prc,
+    cloud,
+    tmp_path,
+    corridor,
+):
     trajectory = write_trajectory(tmp_path / "true.csv", corridor)
     before = trajectory.read_bytes()
     words = (
@@ -161,9 +153,7 @@ def test_a_path_never_replaces_an_input(
     assert trajectory.read_bytes() == before
 
 
-def test_the_path_of_a_cloud_in_feet_is_in_feet(
-    prc: Prc, corridor: Corridor, tmp_path: Path
-) -> None:
+def test_the_path_of_a_cloud_in_feet_is_in_feet(prc, corridor, tmp_path):
     foot = 1200 / 3937
     cloud = write_cloud(tmp_path / "feet.las", corridor, epsg=2263, metres=foot)
     output = tmp_path / "path.csv"
@@ -176,9 +166,7 @@ def test_the_path_of_a_cloud_in_feet_is_in_feet(
     assert ".csv" in refused.err
 
 
-def test_two_passes_are_one_path_with_a_gap(
-    prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_two_passes_are_one_path_with_a_gap(prc, tmp_path, monkeypatch):
     cloud = write_cloud(tmp_path / "two.las", make_corridor(begin_s=BEGIN_S, gap_s=60.0))
     output = tmp_path / "path.csv"
     report = prc.json(f"info {cloud} --range points --path {output}")
@@ -196,11 +184,11 @@ def test_two_passes_are_one_path_with_a_gap(
 
 
 def test_a_clock_that_differs_is_measured_and_the_command_that_mends_it_works(
-    prc: Prc,
-    cloud: Path,
-    tmp_path: Path,
-    corridor: Corridor,
-) -> None:
+    prc,
+    cloud,
+    tmp_path,
+    corridor,
+):
     trajectory = write_trajectory(tmp_path / "late.csv", corridor, clock_s=-0.25)
     words = ("info", cloud, "--range", f"trajectory:{trajectory}", "--check-path", "--json")
     report = json.loads(prc(*words).out)
@@ -212,11 +200,11 @@ def test_a_clock_that_differs_is_measured_and_the_command_that_mends_it_works(
 
 
 def test_a_trajectory_of_the_scanner_in_the_same_clock_is_fine(
-    prc: Prc,
-    cloud: Path,
-    tmp_path: Path,
-    corridor: Corridor,
-) -> None:
+    prc,
+    cloud,
+    tmp_path,
+    corridor,
+):
     trajectory = write_trajectory(tmp_path / "true.csv", corridor)
     result = prc(f"info {cloud} --range trajectory:{trajectory} --check-path --checks")
     said = " ".join(result.out.split())
@@ -224,11 +212,11 @@ def test_a_trajectory_of_the_scanner_in_the_same_clock_is_fine(
 
 
 def test_other_coordinates_are_refused_with_the_command_that_does_without(
-    prc: Prc,
-    cloud: Path,
-    tmp_path: Path,
-    corridor: Corridor,
-) -> None:
+    prc,
+    cloud,
+    tmp_path,
+    corridor,
+):
     trajectory = write_trajectory(tmp_path / "moved.csv", corridor, moved_m=(1000.0, -500.0, 0.0))
     report = prc.json(f"info {cloud} --range trajectory:{trajectory} --check-path")
     assert "moved by x -1,000.0, y 500.0, z 0.0 m" in report["problem"]

@@ -3,8 +3,6 @@
 Place, intensity, number; what cannot be kept is told.
 """
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,6 @@ import numpy as np
 import plyfile
 import pytest
 
-from tests.cli.conftest import Prc
 from tests.formats import cloud_files
 from tests.formats.builders import write_las
 from tests.formats.organised_files import grid_points, ptx_scan, turn_x
@@ -45,7 +42,7 @@ def ply(path: Path, **changes: Any) -> Path:
 OPTIONS = "--preset fused --set input.angle_start=0 --set input.angle_step=2 --set input.nadir=0"
 
 
-def test_records_behind_the_count_of_the_header_are_a_warning(prc: Prc, tmp_path: Path) -> None:
+def test_records_behind_the_count_of_the_header_are_a_warning(prc, tmp_path):
     source = write_las(tmp_path / "few.las", POINTS)
     data = bytearray(source.read_bytes())
     struct.pack_into("<Q", data, 247, 8000)
@@ -59,11 +56,11 @@ def test_records_behind_the_count_of_the_header_are_a_warning(prc: Prc, tmp_path
 
 @pytest.mark.parametrize(("version", "is_read"), [("1.5", True), ("1.9", False)])
 def test_las_1_5_is_read_and_written(
-    prc: Prc,
-    tmp_path: Path,
-    version: str,
-    is_read: bool,
-) -> None:
+    prc,
+    tmp_path,
+    version,
+    is_read,
+):
     source = write_las(tmp_path / "new.las", POINTS)
     laspy.convert(laspy.read(source), file_version="1.5").write(source)
     output = tmp_path / "o.las"
@@ -78,7 +75,7 @@ def test_las_1_5_is_read_and_written(
         assert "save it as LAS 1.4" in result.err
 
 
-def test_intensities_from_0_to_1_keep_their_steps(prc: Prc, tmp_path: Path) -> None:
+def test_intensities_from_0_to_1_keep_their_steps(prc, tmp_path):
     result = prc(f"classify {ply(tmp_path / 'a.ply')} {tmp_path}/a.las {OPTIONS}")
     assert "intensities from 0 to 1 are written as 0 to 65535" in result.err
     written = np.asarray(laspy.read(tmp_path / "a.las").intensity)
@@ -89,7 +86,7 @@ def test_intensities_from_0_to_1_keep_their_steps(prc: Prc, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("value", [np.nan, 1e9])
-def test_a_single_damaged_coordinate_is_counted(prc: Prc, tmp_path: Path, value: float) -> None:
+def test_a_single_damaged_coordinate_is_counted(prc, tmp_path, value):
     x = 0.2 * LINE
     x[5] = value
     result = prc(f"classify {ply(tmp_path / 'a.ply', x=x)} {tmp_path}/a.las {OPTIONS}")
@@ -102,7 +99,7 @@ def test_a_single_damaged_coordinate_is_counted(prc: Prc, tmp_path: Path, value:
     assert result.code == 1
 
 
-def test_points_of_static_scans_keep_their_place(prc: Prc, tmp_path: Path) -> None:
+def test_points_of_static_scans_keep_their_place(prc, tmp_path):
     points = grid_points(12, 30)
     turn = turn_x(180)
     text = ptx_scan(points, shift=(6500, 4500, 120)) + ptx_scan(
@@ -121,7 +118,7 @@ def test_points_of_static_scans_keep_their_place(prc: Prc, tmp_path: Path) -> No
     assert "positions of the scans (6500, 4500, 120 m for the first)" in result.out + result.err
 
 
-def test_clouds_keep_their_header_or_tell(prc: Prc, tmp_path: Path) -> None:
+def test_clouds_keep_their_header_or_tell(prc, tmp_path):
     shape = np.arange(IMAGE.size).reshape(IMAGE.shape)
     rows = np.full(
         IMAGE.size,
@@ -149,7 +146,7 @@ def test_clouds_keep_their_header_or_tell(prc: Prc, tmp_path: Path) -> None:
     assert "not kept: field normal as one field" in result.err
 
 
-def test_other_elements_of_a_ply_are_told(prc: Prc, tmp_path: Path) -> None:
+def test_other_elements_of_a_ply_are_told(prc, tmp_path):
     cloud = plyfile.PlyData.read(ply(tmp_path / "points.ply"))
     source = tmp_path / "a.ply"
     camera = plyfile.PlyElement.describe(np.array([(1.0,)], [("focal", "f4")]), "camera")

@@ -3,8 +3,6 @@
 Every kind of input, and errors.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from functools import cache
@@ -14,7 +12,6 @@ import numpy as np
 import pytest
 
 from prc_cli.core.classes import ClassCodes
-from tests.cli.conftest import Prc
 from tests.formats.organised_files import ptx_scan, write_text
 from tests.simulated import static_arrays
 
@@ -90,11 +87,11 @@ REFUSED: list[tuple[Callable[[Path], Path], list[str]]] = [
     ("make", "words"), REFUSED, ids=lambda value: getattr(value, "__name__", "")
 )
 def test_one_clear_line_and_nothing_left(
-    prc: Prc,
-    tmp_path: Path,
-    make: Callable[[Path], Path],
-    words: list[str],
-) -> None:
+    prc,
+    tmp_path,
+    make,
+    words,
+):
     source = make(tmp_path)
     before = sorted(os.listdir(tmp_path))
     result = prc(f"classify {source} {tmp_path}/labels.npy --preset street-scan")
@@ -112,9 +109,7 @@ def two_scans(folder: Path, second: Array) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("n_points", [0, 1])
-def test_a_scan_of_nothing_does_no_harm_to_the_others(
-    prc: Prc, tmp_path: Path, n_points: int
-) -> None:
+def test_a_scan_of_nothing_does_no_harm_to_the_others(prc, tmp_path, n_points):
     nothing = np.zeros((20, 30, 4))
     nothing[3, 4] = n_points * np.array([3.0, 4.0, 1.0, 0.5])
     source = two_scans(tmp_path, nothing)
@@ -132,7 +127,7 @@ def test_a_scan_of_nothing_does_no_harm_to_the_others(
 
 
 @pytest.mark.data
-def test_cars_of_a_real_street(prc: Prc, real_data: Path, tmp_path: Path) -> None:
+def test_cars_of_a_real_street(prc, real_data, tmp_path):
     source = real_data / "oakland" / "oakland_1.csv.gz"
     out = tmp_path / "labels.npy"
     result = prc(f"classify {source} {out} --preset fused --set input.nadir=0")
@@ -149,12 +144,12 @@ def test_cars_of_a_real_street(prc: Prc, real_data: Path, tmp_path: Path) -> Non
     [("ros/sick_lms1xx_ros1.bag", ("--set", "input.nadir=0")), ("organised/pumpA.e57", ())],
 )
 def test_rooms_are_doubted(
-    prc: Prc,
-    tmp_path: Path,
-    real_data: Path,
-    file: str,
-    checks: tuple[str, ...],
-) -> None:
+    prc,
+    tmp_path,
+    real_data,
+    file,
+    checks,
+):
     """A laser that turns level in a room, and a pump."""
     output = tmp_path / "labels.npy"
     result = prc(f"classify {real_data}/{file} {output} --preset fused", *checks)

@@ -1,7 +1,5 @@
 """What a user types almost right is understood, or answered with what to type."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from pathlib import Path
@@ -11,7 +9,6 @@ import pytest
 
 from prc_cli.cli import COMMANDS, cli
 from prc_cli.cli.gone import GONE, GONE_OF
-from tests.cli.conftest import Prc
 
 
 @pytest.mark.parametrize(
@@ -24,19 +21,19 @@ from tests.cli.conftest import Prc
         ("config show --set prc.support.zeta_p=.1", "zeta_p = 0.1"),
     ],
 )
-def test_another_spelling_is_understood(prc: Prc, command: str, expected: str) -> None:
+def test_another_spelling_is_understood(prc, command, expected):
     result = prc(*shlex.split(command))
     assert result.code == 0
     assert expected in result.out
 
 
-def test_an_old_preset_has_a_note_and_the_new_name_in_the_sources(prc: Prc) -> None:
+def test_an_old_preset_has_a_note_and_the_new_name_in_the_sources(prc):
     result = prc("config show --preset forest")
     assert result.err == "note: preset forest is now called prc-2019-forest\n"
     assert "# from: preset prc-2019-forest" in result.out
 
 
-def test_tables_of_single_commands_are_shown_with_their_sources(prc: Prc, tmp_path: Path) -> None:
+def test_tables_of_single_commands_are_shown_with_their_sources(prc, tmp_path):
     file = tmp_path / "a.toml"
     file.write_text("[batch]\nstall = 1800\n[render]\nstation = 2\n", encoding="utf-8")
     shown = prc(f"config show --config {file} --set batch.retry=2").out
@@ -66,9 +63,7 @@ def test_tables_of_single_commands_are_shown_with_their_sources(prc: Prc, tmp_pa
         ("batch a b --only-failed", "type prc batch retry OUT"),
     ],
 )
-def test_a_near_miss_is_answered(
-    prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, answer: str
-) -> None:
+def test_a_near_miss_is_answered(prc, tmp_path, monkeypatch, command, answer):
     monkeypatch.chdir(tmp_path)
     Path("a").write_bytes(b"")
     Path("b").write_bytes(b"")
@@ -78,14 +73,14 @@ def test_a_near_miss_is_answered(
 
 
 @pytest.mark.parametrize("typed", [*GONE_OF, *(f"prc classify {flag}" for flag in GONE)])
-def test_every_option_that_went_has_an_answer(prc: Prc, typed: str) -> None:
+def test_every_option_that_went_has_an_answer(prc, typed):
     _, *words, flag = typed.split()
     result = prc(*words, flag)
     assert result.code == 2
     assert f"there is no option {flag} any more" in result.err
 
 
-def test_no_option_of_today_is_among_those_that_went() -> None:
+def test_no_option_of_today_is_among_those_that_went():
     context = click.Context(cli)
     for name in COMMANDS:
         command = cli.get_command(context, name)
@@ -96,7 +91,7 @@ def test_no_option_of_today_is_among_those_that_went() -> None:
 
 
 @pytest.mark.parametrize("name", ["classify", "batch", "evaluate", "render"])
-def test_help_is_short_and_help_all_is_not(prc: Prc, name: str) -> None:
+def test_help_is_short_and_help_all_is_not(prc, name):
     short = prc(f"{name} --help").out
     whole = prc(f"{name} --help-all").out
     assert f"more options: prc {name} --help-all" in short

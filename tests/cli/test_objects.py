@@ -1,22 +1,18 @@
 """``prc objects`` on the command line."""
 
-from __future__ import annotations
-
 import csv
 import json
-from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
 from prc_cli.jobs.objects import COLUMNS
-from tests.cli.conftest import Prc
 from tests.methods.fused.street_lines import BEAM, street_lines
 
 
 @pytest.fixture(scope="module")
-def forest(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def forest(tmp_path_factory):
     """A short walk with its registered coordinates, and the list of its stems."""
     folder = tmp_path_factory.mktemp("forest")
     from prc_cli.jobs.simulate import Beside, simulate
@@ -37,7 +33,7 @@ def rows(text: str) -> list[dict[str, str]]:
 
 
 @pytest.mark.slow
-def test_stems_are_where_the_simulator_has_them(prc: Prc, forest: Path) -> None:
+def test_stems_are_where_the_simulator_has_them(prc, forest):
     result = prc(
         f"objects {forest}/walk.laz --preset fused-forest -o {forest}/o.csv --overwrite",
     )
@@ -58,7 +54,7 @@ def test_stems_are_where_the_simulator_has_them(prc: Prc, forest: Path) -> None:
 
 
 @pytest.mark.slow
-def test_every_form_holds_the_same(prc: Prc, forest: Path) -> None:
+def test_every_form_holds_the_same(prc, forest):
     command = ("objects", forest / "walk.laz", "-q")
     printed = rows(prc(*command).out)
     for suffix in (".csv", ".geojson", ".parquet"):
@@ -76,7 +72,7 @@ def test_every_form_holds_the_same(prc: Prc, forest: Path) -> None:
 
 
 @pytest.mark.slow
-def test_classes_that_are_there_are_taken_or_it_says_why_not(prc: Prc, forest: Path) -> None:
+def test_classes_that_are_there_are_taken_or_it_says_why_not(prc, forest):
     result = prc(f"objects {forest}/walk.laz")
     assert (result.code, "note: the classes of the file are taken" in result.err) == (0, True), (
         result.err
@@ -95,7 +91,7 @@ def test_classes_that_are_there_are_taken_or_it_says_why_not(prc: Prc, forest: P
     )
 
 
-def test_inputs_without_coordinates_have_none(prc: Prc, tmp_path: Path) -> None:
+def test_inputs_without_coordinates_have_none(prc, tmp_path):
     np.savez(tmp_path / "s.npz", range_m=street_lines(150)[0], angle_deg=np.rad2deg(BEAM))
     command = (
         "objects",
@@ -119,7 +115,7 @@ def test_inputs_without_coordinates_have_none(prc: Prc, tmp_path: Path) -> None:
 
 
 @pytest.mark.data
-def test_a_real_park_has_stems(prc: Prc, real_data: Path) -> None:
+def test_a_real_park_has_stems(prc, real_data):
     source = real_data / "forest" / "tls_park.npz"
     result = prc(f"objects {source} --preset fused-forest -q --kind stem")
     assert result.code in (0, 4), result.err

@@ -1,10 +1,7 @@
 """Every path that a command names is read or written, never both."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
-from pathlib import Path
 
 import click
 import pytest
@@ -15,7 +12,6 @@ from prc_cli.cli.paths import ReadPath, ReadText, WritePath, WriteText
 from prc_cli.core import paths
 from prc_cli.core.errors import OutputError, PrcError
 from prc_cli.core.files import prepare_outputs
-from tests.cli.conftest import Prc
 
 READERS = (ReadPath, ReadText)
 WRITERS = (WritePath, WriteText)
@@ -80,14 +76,14 @@ PAIRS = [
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_every_option_says_whether_it_reads_or_writes_a_file(name: str) -> None:
+def test_every_option_says_whether_it_reads_or_writes_a_file(name):
     for parameter in ALL[name].params:
         if not isinstance(parameter.type, (*READERS, *WRITERS, *PLAIN)):
             assert isinstance(parameter.type, click.types.StringParamType), (name, parameter.name)
             assert NO_PATHS.intersection(parameter.opts), (name, parameter.name)
 
 
-def test_there_are_pairs_to_try() -> None:
+def test_there_are_pairs_to_try():
     tried = {(name, writer.name) for name, _, writer in PAIRS}
     assert {
         ("classify", "output"),
@@ -104,12 +100,12 @@ def test_there_are_pairs_to_try() -> None:
 )
 @pytest.mark.parametrize("linked", [False, True])
 def test_no_path_is_both_read_and_written(
-    tmp_path: Path,
-    name: str,
-    reader: click.Parameter,
-    writer: click.Parameter,
-    linked: bool,
-) -> None:
+    tmp_path,
+    name,
+    reader,
+    writer,
+    linked,
+):
     source = tmp_path / "a.npz"
     output = tmp_path / "sub" / ".." / "a.npz"
     source.write_bytes(b"input")
@@ -140,7 +136,7 @@ def test_no_path_is_both_read_and_written(
 @pytest.mark.parametrize(
     "text", ["trajectory:{}", "input.range=trajectory:{}", "Title={}", 'input.metadata="{}"']
 )
-def test_files_named_within_texts_are_inputs(tmp_path: Path, text: str) -> None:
+def test_files_named_within_texts_are_inputs(tmp_path, text):
     source = tmp_path / "a.csv"
     source.touch()
     paths.begin_command("x")
@@ -154,7 +150,7 @@ def test_files_named_within_texts_are_inputs(tmp_path: Path, text: str) -> None:
         paths.begin_command("")
 
 
-def test_a_file_of_a_folder_that_is_read_is_an_input(tmp_path: Path) -> None:
+def test_a_file_of_a_folder_that_is_read_is_an_input(tmp_path):
     (tmp_path / "labels").mkdir()
     (tmp_path / "labels" / "a.npy").touch()
     (tmp_path / "labels" / "report.html").touch()
@@ -168,7 +164,7 @@ def test_a_file_of_a_folder_that_is_read_is_an_input(tmp_path: Path) -> None:
         paths.begin_command("")
 
 
-def test_a_command_that_has_ended_protects_nothing(tmp_path: Path, prc: Prc) -> None:
+def test_a_command_that_has_ended_protects_nothing(tmp_path, prc):
     source = tmp_path / "a.npy"
     source.write_bytes(b"no array")
     assert prc(f"info {source}").code == 1
@@ -177,7 +173,7 @@ def test_a_command_that_has_ended_protects_nothing(tmp_path: Path, prc: Prc) -> 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
 @pytest.mark.parametrize("kind", ["npz", "pipe", "link"])
-def test_a_log_is_added_to_no_other_file(tmp_path: Path, kind: str) -> None:
+def test_a_log_is_added_to_no_other_file(tmp_path, kind):
     path = tmp_path / "log"
     if kind == "pipe":
         os.mkfifo(path)

@@ -1,7 +1,5 @@
 """``prc stream`` through real pipes."""
 
-from __future__ import annotations
-
 import os
 import select
 import signal
@@ -42,7 +40,7 @@ def take(process: subprocess.Popen[bytes], n_bytes: int) -> bytes:
 
 
 @pytest.mark.slow
-def test_a_slow_reader_slows_the_writer_down() -> None:
+def test_a_slow_reader_slows_the_writer_down():
     """The program holds a block and what the pipes hold, not the stream."""
     process = start(*URBAN, "-q")
     assert process.stdin is not None
@@ -65,7 +63,7 @@ def test_a_slow_reader_slows_the_writer_down() -> None:
 
 
 @pytest.mark.slow
-def test_the_reader_of_the_labels_goes() -> None:
+def test_the_reader_of_the_labels_goes():
     process = start(*URBAN, "-q")
     assert process.stdout is not None
     process.stdout.close()
@@ -75,7 +73,7 @@ def test_the_reader_of_the_labels_goes() -> None:
 
 
 @pytest.mark.slow
-def test_a_block_leaves_when_two_more_lines_are_there_and_a_signal_ends_the_stream() -> None:
+def test_a_block_leaves_when_two_more_lines_are_there_and_a_signal_ends_the_stream():
     process = start(*URBAN, "-q")
     assert process.stdin is not None
     process.stdin.write(street()[:18].tobytes())

@@ -1,15 +1,11 @@
 """A window of a drive: --only."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import laspy
 import numpy as np
 import pytest
 
-from tests.cli.conftest import Prc
 from tests.simulated import drive_arrays
 
 N_LINES = 60
@@ -18,7 +14,7 @@ HZ = 10.0
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """One drive in several formats; its times begin at 1000 s."""
     place = tmp_path_factory.mktemp("window")
     block, _ = drive_arrays(N_LINES, M, 20)
@@ -46,12 +42,12 @@ URBAN = ("--preset", "prc-2019-urban", "-q", "--overwrite")
     ],
 )
 def test_a_window_is_a_drive_of_its_own(
-    prc: Prc,
-    folder: Path,
-    name: str,
-    window: str,
-    key: str,
-) -> None:
+    prc,
+    folder,
+    name,
+    window,
+    key,
+):
     whole = np.load(folder / "d.npz")["range_m"][13:41]
     np.save(folder / "part.npy", whole)
     assert prc(f"classify {folder}/part.npy {folder}/expected.npy", *URBAN).code == 0
@@ -67,7 +63,7 @@ def test_a_window_is_a_drive_of_its_own(
     assert any("only lines 13 to 40 were taken" in notice for notice in record["notices"])
 
 
-def test_las_holds_the_records_of_the_window_alone(prc: Prc, folder: Path) -> None:
+def test_las_holds_the_records_of_the_window_alone(prc, folder):
     source = laspy.read(folder / "d.laz")
     inside = (source.scan_line >= 13) & (source.scan_line < 41)
     for output in ("w.laz", "w.las"):
@@ -98,9 +94,7 @@ def test_las_holds_the_records_of_the_window_alone(prc: Prc, folder: Path) -> No
 
 
 @pytest.mark.parametrize("command", [("batch", "."), ("thin", "d.laz"), ("render", "d.laz")])
-def test_commands_that_take_files_whole_refuse(
-    prc: Prc, folder: Path, command: tuple[str, str]
-) -> None:
+def test_commands_that_take_files_whole_refuse(prc, folder, command):
     source = folder / command[1]
     output = folder / ("out.png" if command[0] == "render" else "out.laz")
     result = prc(f"{command[0]} {source} {output} --preset prc-2019-urban --set input.first=2s")
@@ -108,7 +102,7 @@ def test_commands_that_take_files_whole_refuse(
     assert "found --only 2s, but prc" in result.err
 
 
-def test_evaluate_scores_the_window(prc: Prc, folder: Path) -> None:
+def test_evaluate_scores_the_window(prc, folder):
     assert prc(f"classify {folder}/d.laz {folder}/e.laz", *URBAN).code == 0
     source = laspy.read(folder / "d.laz")
     lines = (source.scan_line >= 20) & (source.scan_line < 50)

@@ -1,7 +1,5 @@
 """Blocks of k lines with look-ahead do not depend on the blocks of the input."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -87,12 +85,12 @@ def check(blocks: list[ScanBlock], whole: ScanBlock, k: int) -> None:
     dense=st.booleans(),
 )
 def test_any_cut_gives_the_same_blocks(
-    n_lines: int,
-    m: int,
-    k: int,
-    sizes: list[int],
-    dense: bool,
-) -> None:
+    n_lines,
+    m,
+    k,
+    sizes,
+    dense,
+):
     whole = stream(n_lines, m, dense=dense)
     parts = list(pieces(whole, sizes))
     blocks = list(regroup(iter(parts), k))

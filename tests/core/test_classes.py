@@ -1,7 +1,5 @@
 """Labels, class codes and their colours."""
 
-from __future__ import annotations
-
 import re
 from itertools import combinations
 from xml.etree import ElementTree
@@ -23,7 +21,7 @@ from prc_cli.core.config import samples_folder
 from prc_cli.core.types import F64
 
 
-def test_default_codes_are_those_of_the_product() -> None:
+def test_default_codes_are_those_of_the_product():
     codes = ClassCodes()
     expected = {"unclassified": 1, "ground": 2, "vegetation": 5, "building": 6, "noise": 7}
     expected |= {"stem": 64, "car": 65, "curb": 66, "vertical": 67, "horizontal": 68, "pole": 69}
@@ -97,7 +95,7 @@ def oklab(rgb: tuple[int, int, int], seen: F64) -> F64:
 
 @pytest.mark.parametrize("reader", SEEN_BY)
 @pytest.mark.parametrize("method", TOGETHER)
-def test_classes_of_a_method_differ_for_every_reader(method: str, reader: str) -> None:
+def test_classes_of_a_method_differ_for_every_reader(method, reader):
     places = {label: oklab(LABEL_COLOURS[label], SEEN_BY[reader]) for label in TOGETHER[method]}
     near = {
         (a.name, b.name): round(float(np.linalg.norm(places[a] - places[b])), 3)
@@ -106,14 +104,14 @@ def test_classes_of_a_method_differ_for_every_reader(method: str, reader: str) -
     assert {pair: apart for pair, apart in near.items() if apart < LEAST} == {}
 
 
-def test_ground_is_brown_and_vegetation_green() -> None:
+def test_ground_is_brown_and_vegetation_green():
     red, green, blue = LABEL_COLOURS[Label.GROUND]
     assert red > green > blue
     red, green, blue = LABEL_COLOURS[Label.VEGETATION]
     assert green > blue > red
 
 
-def test_every_reason_has_one_label_and_a_number_of_its_own() -> None:
+def test_every_reason_has_one_label_and_a_number_of_its_own():
     listed = [reason for reasons in REASONS_OF_LABELS.values() for reason in reasons]
     assert sorted(listed) == sorted(Reason)
     assert max(Reason) < FURTHER_RETURN < VOTED
@@ -122,7 +120,7 @@ def test_every_reason_has_one_label_and_a_number_of_its_own() -> None:
         assert LABELS_BY_REASON[numbers].tolist() == [label] * len(numbers)
 
 
-def test_styles_of_viewers_hold_every_code() -> None:
+def test_styles_of_viewers_hold_every_code():
     codes = {ClassCodes().code(label) for label in Label} | {0, 18}
     style = ElementTree.parse(samples_folder() / "viewers/prc_classes.qml").getroot()
     assert {int(category.get("value", "-1")) for category in style.iter("category")} == codes

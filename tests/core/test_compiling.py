@@ -1,11 +1,8 @@
 """Many processes on an empty cache: one compiles, all succeed, and failures do not stop a run."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -42,7 +39,7 @@ def python(code: str, folder: Path) -> subprocess.Popen[str]:
 
 @needs_compiler
 @needs_locks
-def test_of_three_processes_on_an_empty_cache_one_compiles(tmp_path: Path) -> None:
+def test_of_three_processes_on_an_empty_cache_one_compiles(tmp_path):
     started = [python(LOAD, tmp_path) for _ in range(3)]
     outputs = [process.communicate()[0] for process in started]
     assert [process.returncode for process in started] == [0] * 3
@@ -50,7 +47,7 @@ def test_of_three_processes_on_an_empty_cache_one_compiles(tmp_path: Path) -> No
 
 
 @needs_locks
-def test_lock_of_a_dead_process_is_open(tmp_path: Path) -> None:
+def test_lock_of_a_dead_process_is_open(tmp_path):
     code = (
         "import sys, time; from filelock import FileLock; FileLock(sys.argv[1]).acquire(); "
         "print('mine', flush=True); time.sleep(3600)"
@@ -67,12 +64,12 @@ def test_lock_of_a_dead_process_is_open(tmp_path: Path) -> None:
 
 
 @needs_locks
-def test_nobody_waits_for_ever(tmp_path: Path) -> None:
+def test_nobody_waits_for_ever(tmp_path):
     with loop_cache.compiling_lock(tmp_path, 0.1), loop_cache.compiling_lock(tmp_path, 0.1):
         pass
 
 
-def test_no_lock_can_be_made(tmp_path: Path) -> None:
+def test_no_lock_can_be_made(tmp_path):
     (tmp_path / "file").touch()
     with loop_cache.compiling_lock(tmp_path / "file" / "nowhere", 0.1):
         pass
@@ -82,7 +79,7 @@ LOOPS = loops_of(labels_loops)[:3]
 
 
 @pytest.fixture
-def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def empty_cache(tmp_path, monkeypatch):
     """The cache is empty, and no loop is loaded."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     for cached in (loop_cache.writable_cache, loop_cache.name_of_loops):
@@ -95,9 +92,7 @@ def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pat
 
 
 @needs_compiler
-def test_without_a_child_process_all_is_compiled_here(
-    empty_cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_child_process_all_is_compiled_here(empty_cache, monkeypatch):
     """A program without an interpreter beside it, or one that fails."""
     monkeypatch.setattr(compiling, "default_threads", lambda: 2)
     monkeypatch.setattr(sys, "executable", str(empty_cache / "none"))
@@ -106,9 +101,7 @@ def test_without_a_child_process_all_is_compiled_here(
 
 
 @needs_compiler
-def test_child_processes_compile_what_is_not_claimed(
-    empty_cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_child_processes_compile_what_is_not_claimed(empty_cache, monkeypatch):
     monkeypatch.setattr(compiling, "PATIENCE_S", patience.HANGS_S)
     names = [f"{loop.module}:{loop.name}" for loop in LOOPS]
     claims = empty_cache / "claims"

@@ -1,9 +1,6 @@
 """Layers, sources, and the messages for wrong keys and values."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,7 +10,7 @@ from prc_cli.core.config import model_in
 from prc_cli.core.errors import ConfigError
 
 
-def test_layers_override_each_other_and_name_their_source(tmp_path: Path) -> None:
+def test_layers_override_each_other_and_name_their_source(tmp_path):
     path = tmp_path / "run.toml"
     path.write_text('preset = "prc-2019-forest"\n[prc.support]\nzeta_p = 0.2\n')
     loaded = load_config(path, options={"prc": {"surfaces": {"gamma": 5}}})
@@ -63,7 +60,7 @@ def test_layers_override_each_other_and_name_their_source(tmp_path: Path) -> Non
         ({"fused": {"wals": {"roof_m": 5}}}, "--set fused.wals: unknown key"),
     ],
 )
-def test_wrong_keys_and_values_name_themselves(table: dict[str, object], message: str) -> None:
+def test_wrong_keys_and_values_name_themselves(table, message):
     with pytest.raises(ConfigError) as caught:
         load_config(options=table)
     assert message in str(caught.value)
@@ -72,7 +69,7 @@ def test_wrong_keys_and_values_name_themselves(table: dict[str, object], message
 
 @pytest.mark.parametrize("preset", [None, *PRESETS])
 @pytest.mark.parametrize("comments", [True, False])
-def test_what_is_shown_can_be_read_back(preset: str | None, comments: bool, tmp_path: Path) -> None:
+def test_what_is_shown_can_be_read_back(preset, comments, tmp_path):
     layout = {
         "fields": [{"name": "range", "type": "i4", "scale": 0.001, "missing": 0}],
         "endian": "big",
@@ -92,7 +89,7 @@ def whole_numbers(model: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
             yield f"{prefix}{name}", field
 
 
-def test_every_whole_number_of_the_configuration_has_a_largest_value() -> None:
+def test_every_whole_number_of_the_configuration_has_a_largest_value():
     """What is counted with it must not leave the integers of the processor."""
     known = dict(whole_numbers(RunConfig))
     assert len(known) > 20

@@ -1,7 +1,5 @@
 """Outputs exist complete or not at all."""
 
-from __future__ import annotations
-
 import errno
 import os
 import sys
@@ -25,9 +23,7 @@ from tests.patience import wait_until
 
 
 @pytest.mark.parametrize("overwrite", [None, False])
-def test_a_file_that_appears_meanwhile_is_not_replaced(
-    tmp_path: Path, overwrite: bool | None
-) -> None:
+def test_a_file_that_appears_meanwhile_is_not_replaced(tmp_path, overwrite):
     target = tmp_path / "labels.npy"
     with (
         pytest.raises(OutputExistsError, match="appeared while it was being written"),
@@ -39,7 +35,7 @@ def test_a_file_that_appears_meanwhile_is_not_replaced(
     assert os.listdir(tmp_path) == ["labels.npy"]
 
 
-def test_of_several_files_all_appear_or_none(tmp_path: Path) -> None:
+def test_of_several_files_all_appear_or_none(tmp_path):
     first = tmp_path / "labels.npy"
     second = tmp_path / "labels.npy.prc.json"
     with pytest.raises(OutputExistsError), atomic_outputs(first, second) as temporaries:
@@ -54,9 +50,7 @@ def test_of_several_files_all_appear_or_none(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [errno.EPERM, errno.ENOTSUP])
-def test_a_file_system_without_hard_links(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
+def test_a_file_system_without_hard_links(tmp_path, monkeypatch, number):
     def refused(source: Path, target: Path) -> None:
         raise OSError(number, os.strerror(number))
 
@@ -69,7 +63,7 @@ def test_a_file_system_without_hard_links(
     assert target.read_bytes() == b"mine"
 
 
-def test_only_small_regular_files_are_read(tmp_path: Path) -> None:
+def test_only_small_regular_files_are_read(tmp_path):
     (tmp_path / "a").write_bytes(b"12345")
     assert files.read_small(tmp_path / "a", 5) == b"12345"
     os.mkfifo(tmp_path / "pipe")
@@ -79,7 +73,7 @@ def test_only_small_regular_files_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("failure", [ValueError("wrong"), KeyboardInterrupt()])
-def test_an_interrupted_file_leaves_nothing(tmp_path: Path, failure: BaseException) -> None:
+def test_an_interrupted_file_leaves_nothing(tmp_path, failure):
     target = tmp_path / "labels.npy"
     with pytest.raises(type(failure)), atomic_output(target) as temporary:
         temporary.write_bytes(b"half")
@@ -87,7 +81,7 @@ def test_an_interrupted_file_leaves_nothing(tmp_path: Path, failure: BaseExcepti
     assert os.listdir(tmp_path) == []
 
 
-def test_a_full_disk_is_said_so(tmp_path: Path) -> None:
+def test_a_full_disk_is_said_so(tmp_path):
     target = tmp_path / "labels.npy"
     with pytest.raises(OutputError, match="the disk is full"), atomic_output(target) as temporary:
         temporary.write_bytes(b"half")
@@ -95,9 +89,7 @@ def test_a_full_disk_is_said_so(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == []
 
 
-def test_check_output_refuses_before_any_work(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_check_output_refuses_before_any_work(tmp_path, monkeypatch):
     source = tmp_path / "drive.las"
     source.write_bytes(b"x")
     with pytest.raises(OutputExistsError, match="the output is the input itself"):
@@ -122,7 +114,7 @@ def test_check_output_refuses_before_any_work(
 
 
 @pytest.mark.skipif(os.name != "posix", reason="processes can only be asked on POSIX")
-def test_what_a_killed_run_left_is_removed_and_nothing_else(tmp_path: Path) -> None:
+def test_what_a_killed_run_left_is_removed_and_nothing_else(tmp_path):
     target = tmp_path / "labels[1].npy"
     code = (
         "import sys; from pathlib import Path; from prc_cli.core.files import temporary_name\n"
@@ -140,7 +132,7 @@ def test_what_a_killed_run_left_is_removed_and_nothing_else(tmp_path: Path) -> N
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
-def test_a_dead_process_that_nobody_waits_for_is_dead(tmp_path: Path) -> None:
+def test_a_dead_process_that_nobody_waits_for_is_dead(tmp_path):
     """As in a container whose first process does not."""
     with patience.start([sys.executable, "-c", ""]) as process:
         wait_until(lambda: b") Z" in Path(f"/proc/{process.pid}/stat").read_bytes())
@@ -152,8 +144,8 @@ def test_a_dead_process_that_nobody_waits_for_is_dead(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not Path("/proc/uptime").exists(), reason="needs /proc")
 def test_a_process_that_was_given_the_number_of_a_dead_one_is_not_the_writer(
-    tmp_path: Path,
-) -> None:
+    tmp_path,
+):
     """As after a restart of the machine, when the numbers begin anew."""
     part = temporary_name(tmp_path / "a.npy")
     part.touch()
@@ -163,14 +155,12 @@ def test_a_process_that_was_given_the_number_of_a_dead_one_is_not_the_writer(
     assert is_left_behind(part) is True
 
 
-def test_an_output_onto_a_device_or_a_pipe_is_refused() -> None:
+def test_an_output_onto_a_device_or_a_pipe_is_refused():
     with pytest.raises(OutputError, match="is a pipe or a device"):
         check_output(Path(os.devnull), overwrite=True)
 
 
-def test_what_a_library_does_not_say_of_a_full_disk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_library_does_not_say_of_a_full_disk(tmp_path, monkeypatch):
     path = tmp_path / "o.sqlite"
     path.write_bytes(b"half")
     assert files.why_not_written(path) == 0

@@ -3,8 +3,6 @@
 Every format with every key, and with every hint of the program.
 """
 
-from __future__ import annotations
-
 import ast
 from functools import cache
 from pathlib import Path
@@ -86,7 +84,7 @@ def open_sample(path: Path, **changes: object) -> frozenset[str]:
 
 
 @pytest.mark.parametrize("name", SAMPLES)
-def test_what_an_input_refuses_is_what_it_says_that_it_refuses(tmp_path: Path, name: str) -> None:
+def test_what_an_input_refuses_is_what_it_says_that_it_refuses(tmp_path, name):
     path = make_sample(tmp_path, name)
     refuses = open_sample(path)
     for key, typed in TYPED.items():
@@ -124,7 +122,7 @@ def hints_of_the_program() -> tuple[str, ...]:
 
 
 @pytest.mark.parametrize("name", SAMPLES)
-def test_no_hint_names_what_the_input_refuses(tmp_path: Path, name: str) -> None:
+def test_no_hint_names_what_the_input_refuses(tmp_path, name):
     refuses = open_sample(make_sample(tmp_path, name))
     assert len(hints_of_the_program()) > 20
     for hint in hints_of_the_program():

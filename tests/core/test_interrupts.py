@@ -1,7 +1,5 @@
 """Signals wait while compiled loops run."""
 
-from __future__ import annotations
-
 import threading
 
 import pytest
@@ -11,12 +9,12 @@ from prc_cli.core.loops import Loop
 from tests.patience import HANGS_S
 
 
-def test_outside_it_is_raised_at_once() -> None:
+def test_outside_it_is_raised_at_once():
     with pytest.raises(SystemExit, match="143"):
         raise_or_wait(SystemExit(143))
 
 
-def test_inside_the_work_ends_first_even_when_nested() -> None:
+def test_inside_the_work_ends_first_even_when_nested():
     done = []
     with pytest.raises(KeyboardInterrupt), signals_wait:
         with signals_wait:
@@ -28,7 +26,7 @@ def test_inside_the_work_ends_first_even_when_nested() -> None:
         pass  # nothing is left waiting
 
 
-def test_work_in_another_thread_lets_nothing_wait_here() -> None:
+def test_work_in_another_thread_lets_nothing_wait_here():
     entered = threading.Event()
     leave = threading.Event()
 
@@ -48,7 +46,7 @@ def test_work_in_another_thread_lets_nothing_wait_here() -> None:
         thread.join()
 
 
-def test_a_loop_ends_before_the_exception_of_a_signal(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_loop_ends_before_the_exception_of_a_signal(monkeypatch):
     done = []
 
     def double(value: int) -> int:

@@ -1,14 +1,11 @@
 """A run never fails because of the cache of compiled code."""
 
-from __future__ import annotations
-
 import ast
 import errno
 import importlib.util
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -35,7 +32,7 @@ posix_only = pytest.mark.skipif(os.name == "nt", reason="POSIX permissions")
 
 
 @pytest.fixture(autouse=True)
-def _forget_the_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+def _forget_the_folder(monkeypatch, tmp_path):
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setattr(cache, "cache_folder", lambda: tmp_path / "user")
     monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
@@ -75,7 +72,7 @@ def compiled_files(folder: Path) -> list[Path]:
 
 
 @needs_compiler
-def test_compiled_code_goes_to_the_users_cache_folder(tmp_path: Path) -> None:
+def test_compiled_code_goes_to_the_users_cache_folder(tmp_path):
     before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
     assert compile_module(tmp_path).twice(21) == 42
     assert len(compiled_files(tmp_path / "user" / "numba")) == 2
@@ -85,7 +82,7 @@ def test_compiled_code_goes_to_the_users_cache_folder(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @needs_compiler
-def test_a_second_process_takes_the_compiled_code(tmp_path: Path) -> None:
+def test_a_second_process_takes_the_compiled_code(tmp_path):
     (tmp_path / "some_loops.py").write_text(MODULE)
     code = "import some_loops; print(sum(some_loops.twice.load().stats.cache_hits.values()))"
     environment = {
@@ -106,9 +103,7 @@ def test_a_second_process_takes_the_compiled_code(tmp_path: Path) -> None:
     assert hits == ["0\n", "1\n"]
 
 
-def test_what_loops_are_made_of_names_their_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_loops_are_made_of_names_their_folder(tmp_path, monkeypatch):
     """Numba looks at the size and time of the module's own file alone, and an upgrade may keep
     both."""
     source = tmp_path / "ground_loops.py"
@@ -137,7 +132,7 @@ def test_what_loops_are_made_of_names_their_folder(
     assert None not in folders
 
 
-def test_loops_use_nothing_that_their_folder_is_not_named_by() -> None:
+def test_loops_use_nothing_that_their_folder_is_not_named_by():
     package = Path(cache.__file__).parents[1]
     named = {path for pattern in cache.SOURCES for path in package.glob(pattern)}
     for file in package.rglob("*_loops.py"):
@@ -148,9 +143,7 @@ def test_loops_use_nothing_that_their_folder_is_not_named_by() -> None:
 
 
 @posix_only
-def test_temporary_folder_that_others_can_write_is_not_trusted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_temporary_folder_that_others_can_write_is_not_trusted(tmp_path, monkeypatch):
     monkeypatch.setattr(cache, "cache_folder", lambda: blocked(tmp_path))
     folder = cache.temporary_cache()
     folder.mkdir(parents=True)
@@ -159,17 +152,13 @@ def test_temporary_folder_that_others_can_write_is_not_trusted(
 
 
 @posix_only
-def test_a_file_that_is_renamed_meanwhile_is_no_danger(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_is_renamed_meanwhile_is_no_danger(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "rglob", lambda folder, _: iter([folder / "gone.nbi.tmp"]))
     assert cache.open_to_others(tmp_path) == ""
 
 
 @posix_only
-def test_temporary_folder_of_somebody_else_is_not_trusted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_temporary_folder_of_somebody_else_is_not_trusted(tmp_path, monkeypatch):
     monkeypatch.setattr(cache, "cache_folder", lambda: blocked(tmp_path))
     folder = cache.temporary_cache()
     folder.mkdir(parents=True)
@@ -184,9 +173,7 @@ def test_temporary_folder_of_somebody_else_is_not_trusted(
 
 @posix_only
 @pytest.mark.parametrize("mode", [0o777, 0o757])
-def test_the_users_choice_that_others_can_write_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: int
-) -> None:
+def test_the_users_choice_that_others_can_write_is_refused(tmp_path, monkeypatch, mode):
     """Its pickles ran, with whatever somebody had put into them."""
     folder = tmp_path / "cache"
     folder.mkdir()
@@ -199,9 +186,7 @@ def test_the_users_choice_that_others_can_write_is_refused(
 
 
 @posix_only
-def test_a_folder_above_that_others_can_write_is_no_better(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_above_that_others_can_write_is_no_better(tmp_path, monkeypatch):
     folder = tmp_path / "open" / "cache"
     folder.mkdir(parents=True, mode=0o700)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder))
@@ -216,9 +201,7 @@ def test_a_folder_above_that_others_can_write_is_no_better(
 @pytest.mark.skipif(
     not hasattr(os, "getuid") or os.getuid() != 0, reason="gives a file to somebody else"
 )
-def test_what_somebody_else_left_in_it_is_not_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_somebody_else_left_in_it_is_not_run(tmp_path, monkeypatch):
     folder = tmp_path / "cache"
     folder.mkdir()
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder))
@@ -244,9 +227,7 @@ def test_what_somebody_else_left_in_it_is_not_run(
 @pytest.mark.skipif(
     not hasattr(os, "getuid") or os.getuid() != 0, reason="gives a folder to somebody else"
 )
-def test_the_owner_of_a_sticky_folder_above_may_exchange_what_is_in_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_owner_of_a_sticky_folder_above_may_exchange_what_is_in_it(tmp_path, monkeypatch):
     folder = tmp_path / "theirs" / "cache"
     folder.mkdir(parents=True, mode=0o700)
     (tmp_path / "theirs").chmod(0o1777)
@@ -257,9 +238,7 @@ def test_the_owner_of_a_sticky_folder_above_may_exchange_what_is_in_it(
 
 
 @posix_only
-def test_the_folder_is_used_by_the_name_that_was_checked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_folder_is_used_by_the_name_that_was_checked(tmp_path, monkeypatch):
     (tmp_path / "own").mkdir(mode=0o700)
     (tmp_path / "open").mkdir()
     (tmp_path / "open").chmod(0o777)
@@ -270,7 +249,7 @@ def test_the_folder_is_used_by_the_name_that_was_checked(
 
 @needs_compiler
 @pytest.mark.parametrize("damage", [b"", b"\x80", b"not a pickle at all"])
-def test_damaged_cache_is_done_without(tmp_path: Path, damage: bytes) -> None:
+def test_damaged_cache_is_done_without(tmp_path, damage):
     compile_module(tmp_path).twice.load()
     files = compiled_files(tmp_path / "user")
     assert files
@@ -280,7 +259,7 @@ def test_damaged_cache_is_done_without(tmp_path: Path, damage: bytes) -> None:
 
 
 @needs_compiler
-def test_a_full_disk_is_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_done_without(tmp_path, monkeypatch):
     def save(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 

@@ -1,10 +1,7 @@
 """Small files of our own: whole, and read only where nobody else may change them."""
 
-from __future__ import annotations
-
 import os
 import stat
-from pathlib import Path
 
 import pytest
 
@@ -14,7 +11,7 @@ from prc_cli.core.own_file import read_own, refuse_links, who_may_change, write_
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="modes and links")
 
 
-def test_a_file_is_replaced_and_read_again(tmp_path: Path) -> None:
+def test_a_file_is_replaced_and_read_again(tmp_path):
     path = tmp_path / "command.json"
     write_own(path, "old")
     write_own(path, "a\udcff\n", private=True)
@@ -23,7 +20,7 @@ def test_a_file_is_replaced_and_read_again(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["command.json"]
 
 
-def test_what_others_may_change_is_not_read(tmp_path: Path) -> None:
+def test_what_others_may_change_is_not_read(tmp_path):
     path = tmp_path / "a"
     write_own(path, "text")
     path.chmod(0o666)
@@ -33,13 +30,13 @@ def test_what_others_may_change_is_not_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", ["", "longer"])
-def test_an_empty_or_long_file_is_not_read(tmp_path: Path, content: str) -> None:
+def test_an_empty_or_long_file_is_not_read(tmp_path, content):
     write_own(tmp_path / "a", content)
     with pytest.raises(OSError, match="no file of at most 5 bytes"):
         read_own(tmp_path / "a", 5)
 
 
-def test_links_are_not_followed(tmp_path: Path) -> None:
+def test_links_are_not_followed(tmp_path):
     write_own(tmp_path / "a", "text")
     link = tmp_path / "b"
     link.symlink_to("a")
@@ -49,7 +46,7 @@ def test_links_are_not_followed(tmp_path: Path) -> None:
         refuse_links(tmp_path, link)
 
 
-def test_a_folder_that_others_only_add_to_is_sound(tmp_path: Path) -> None:
+def test_a_folder_that_others_only_add_to_is_sound(tmp_path):
     tmp_path.chmod(0o1777)
     assert who_may_change(tmp_path) == "its mode is 1777"
     assert who_may_change(tmp_path, may_add=True) == ""

@@ -1,7 +1,5 @@
 """What a process says of its memory and time, and how it is interrupted."""
 
-from __future__ import annotations
-
 import time
 
 from prc_cli.core.profile import peak_memory, profiling, timed
@@ -13,7 +11,7 @@ def burn(seconds: float) -> None:
         pass
 
 
-def test_a_stage_inside_another_is_not_counted_twice() -> None:
+def test_a_stage_inside_another_is_not_counted_twice():
     with profiling() as profile, timed("outer"):
         burn(0.02)
         with timed("inner"):
@@ -25,6 +23,6 @@ def test_a_stage_inside_another_is_not_counted_twice() -> None:
     assert stages["outer"].wall_s + stages["inner"].wall_s <= profile.wall_s
 
 
-def test_the_peak_of_memory_is_that_of_a_process_with_an_interpreter() -> None:
+def test_the_peak_of_memory_is_that_of_a_process_with_an_interpreter():
     peak = peak_memory()
     assert peak is None or 5 << 20 < peak < 1 << 40

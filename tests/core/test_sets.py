@@ -3,10 +3,8 @@
 Whole, or recognised and replaced by the next run of the same command.
 """
 
-from __future__ import annotations
-
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -26,7 +24,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="kills a forked 
 
 
 @pytest.fixture(autouse=True)
-def command() -> Iterator[None]:
+def command():
     paths.begin_command("evaluate")
     files.forget_placed()
     yield
@@ -85,7 +83,7 @@ def contents(folder: Path) -> dict[str, str]:
 WHOLE = {name: f"new {name}" for name in sorted(NAMES)}
 
 
-def test_the_same_command_finishes_what_a_killed_run_left(tmp_path: Path) -> None:
+def test_the_same_command_finishes_what_a_killed_run_left(tmp_path):
     source = tmp_path / "in.npy"
     source.touch()
     for number in range(2 * len(NAMES)):  # names given, temporary ones removed
@@ -96,7 +94,7 @@ def test_the_same_command_finishes_what_a_killed_run_left(tmp_path: Path) -> Non
             path.unlink()
 
 
-def test_a_run_that_is_killed_at_its_very_end_shows(tmp_path: Path) -> None:
+def test_a_run_that_is_killed_at_its_very_end_shows(tmp_path):
     source = tmp_path / "in.npy"
     source.touch()
 
@@ -110,9 +108,7 @@ def test_a_run_that_is_killed_at_its_very_end_shows(tmp_path: Path) -> None:
     assert contents(tmp_path) == WHOLE
 
 
-def test_a_complete_folder_holds_no_temporary_names(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_complete_folder_holds_no_temporary_names(tmp_path, monkeypatch):
     monkeypatch.setattr(files._State, "keeps_proofs", True)
     source = tmp_path / "in.npy"
     source.touch()
@@ -125,7 +121,7 @@ def test_a_complete_folder_holds_no_temporary_names(
 
 
 @pytest.mark.parametrize("changed", ["command", "input"])
-def test_another_command_or_input_replaces_nothing(tmp_path: Path, changed: str) -> None:
+def test_another_command_or_input_replaces_nothing(tmp_path, changed):
     source = tmp_path / "in.npy"
     unrelated = tmp_path / "second.npy"
     source.touch()
@@ -139,7 +135,7 @@ def test_another_command_or_input_replaces_nothing(tmp_path: Path, changed: str)
     assert contents(tmp_path) == WHOLE
 
 
-def test_a_file_of_somebody_else_stays(tmp_path: Path) -> None:
+def test_a_file_of_somebody_else_stays(tmp_path):
     source = tmp_path / "in.npy"
     source.touch()
     assert killed_at(1, lambda: write(tmp_path, source))
@@ -149,7 +145,7 @@ def test_a_file_of_somebody_else_stays(tmp_path: Path) -> None:
     assert (tmp_path / "o.html").read_text() == "mine"
 
 
-def test_outputs_that_were_there_are_replaced_only_if_asked_for(tmp_path: Path) -> None:
+def test_outputs_that_were_there_are_replaced_only_if_asked_for(tmp_path):
     source = tmp_path / "in.npy"
     number = 0
     source.touch()
@@ -163,7 +159,7 @@ def test_outputs_that_were_there_are_replaced_only_if_asked_for(tmp_path: Path) 
     assert number >= len(NAMES)
 
 
-def test_of_files_beside_only_those_of_the_run_go(tmp_path: Path) -> None:
+def test_of_files_beside_only_those_of_the_run_go(tmp_path):
     output = tmp_path / "o.db3"
     beside = tmp_path / "metadata.yaml"
     beside.write_text("of another bag")
@@ -178,7 +174,7 @@ def test_of_files_beside_only_those_of_the_run_go(tmp_path: Path) -> None:
     assert contents(tmp_path) == {"metadata.yaml": "of another bag", "o.db3": "new"}
 
 
-def test_who_cleans_up_keeps_a_set_that_is_whole(tmp_path: Path) -> None:
+def test_who_cleans_up_keeps_a_set_that_is_whole(tmp_path):
     source = tmp_path / "in.npy"
     source.touch()
     assert killed_at(4, lambda: write(tmp_path, source))
@@ -186,14 +182,14 @@ def test_who_cleans_up_keeps_a_set_that_is_whole(tmp_path: Path) -> None:
     assert contents(tmp_path) == WHOLE
 
 
-def test_a_run_that_is_interrupted_at_its_end_takes_its_outputs_back(tmp_path: Path) -> None:
+def test_a_run_that_is_interrupted_at_its_end_takes_its_outputs_back(tmp_path):
     write(tmp_path, tmp_path / "in.npy")
     files.take_back()
     assert not contents(tmp_path)
     assert left_words() == "no output was left behind"
 
 
-def test_what_replaced_others_stays_and_is_named(tmp_path: Path) -> None:
+def test_what_replaced_others_stays_and_is_named(tmp_path):
     write(tmp_path, tmp_path / "in.npy")
     files.forget_placed()
     write(tmp_path, tmp_path / "in.npy", overwrite=True)

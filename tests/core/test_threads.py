@@ -3,14 +3,11 @@
 Errors keep their place; few items are in flight.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -29,7 +26,7 @@ THREADS = [0, 1, 2, 5]
 
 
 @pytest.fixture(autouse=True)
-def no_thread_is_left() -> Iterator[None]:
+def no_thread_is_left():
     before = set(threading.enumerate())
     yield
     assert set(threading.enumerate()) <= before
@@ -61,7 +58,7 @@ class Source:
 
 
 @pytest.mark.parametrize("threads", THREADS)
-def test_results_come_in_order(threads: int) -> None:
+def test_results_come_in_order(threads):
     assert list(ordered(uneven, range(30), threads=threads)) == [n * n for n in range(30)]
     assert list(ordered(uneven, [], threads=threads)) == []
 
@@ -69,7 +66,7 @@ def test_results_come_in_order(threads: int) -> None:
 @pytest.mark.parametrize(
     ("threads", "ahead", "most"), [(1, None, 1), (2, None, 4), (2, 3, 3), (3, 1, 1)]
 )
-def test_few_items_are_in_flight(threads: int, ahead: int | None, most: int) -> None:
+def test_few_items_are_in_flight(threads, ahead, most):
     source = Source(40)
     taken = []
     for n_done, _ in enumerate(ordered(uneven, source(), threads=threads, ahead=ahead)):
@@ -79,7 +76,7 @@ def test_few_items_are_in_flight(threads: int, ahead: int | None, most: int) -> 
 
 
 @pytest.mark.parametrize("threads", THREADS)
-def test_error_of_an_item_comes_at_its_place(threads: int) -> None:
+def test_error_of_an_item_comes_at_its_place(threads):
     begun: list[int] = []
 
     def work(n: int) -> int:
@@ -98,7 +95,7 @@ def test_error_of_an_item_comes_at_its_place(threads: int) -> None:
 
 
 @pytest.mark.parametrize("threads", THREADS)
-def test_error_of_the_items_comes_after_the_results_before_it(threads: int) -> None:
+def test_error_of_the_items_comes_after_the_results_before_it(threads):
     results: list[int] = []
     with pytest.raises(OSError, match="4"):
         results.extend(ordered(uneven, Source(10, fails_at=4)(), threads=threads))
@@ -106,7 +103,7 @@ def test_error_of_the_items_comes_after_the_results_before_it(threads: int) -> N
 
 
 @pytest.mark.parametrize("threads", THREADS)
-def test_closing_early_begins_nothing_more(threads: int) -> None:
+def test_closing_early_begins_nothing_more(threads):
     source = Source(1000)
     begun: list[int] = []
 
@@ -125,7 +122,7 @@ def test_closing_early_begins_nothing_more(threads: int) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends itself a signal")
-def test_waiting_can_be_interrupted() -> None:
+def test_waiting_can_be_interrupted():
     """The signal comes when all is begun that there is room for; only that is waited for."""
     begun: list[int] = []
     source = Source(100)
@@ -156,7 +153,7 @@ def test_waiting_can_be_interrupted() -> None:
 
 class TestRelay:
     @pytest.mark.parametrize("threads", [2, 5])
-    def test_value_passes_in_order(self, threads: int) -> None:
+    def test_value_passes_in_order(self, threads):
         relay = Relay("")
 
         def work(n: int) -> str:
@@ -165,7 +162,7 @@ class TestRelay:
 
         assert list(ordered(work, range(10), threads=threads))[-1] == "012345678"
 
-    def test_first_error_is_what_is_seen(self) -> None:
+    def test_first_error_is_what_is_seen(self):
         relay = Relay(0)
 
         def work(n: int) -> int:
@@ -181,7 +178,7 @@ class TestRelay:
             errors.extend(ordered(work, range(20), threads=4))
         assert errors == [0, 0, 1]
 
-    def test_nobody_waits_for_a_job_that_gave_up(self) -> None:
+    def test_nobody_waits_for_a_job_that_gave_up(self):
         relay = Relay(0)
         relay.give_up(1)
         assert relay.take_turn(0, lambda value: (value, value + 1)) == (0, 1)
@@ -190,7 +187,7 @@ class TestRelay:
 
 
 class TestReadAhead:
-    def test_items_come_in_order_and_a_few_are_ready(self) -> None:
+    def test_items_come_in_order_and_a_few_are_ready(self):
         source = Source(50)
         leads = []
         for taken, item in enumerate(read_ahead(source(), depth=2)):
@@ -200,13 +197,13 @@ class TestReadAhead:
         assert max(leads) <= 3
         assert source.closed
 
-    def test_error_comes_at_its_place(self) -> None:
+    def test_error_comes_at_its_place(self):
         results: list[int] = []
         with pytest.raises(OSError, match="7"):
             results.extend(read_ahead(Source(20, fails_at=7)()))
         assert results == list(range(7))
 
-    def test_closing_stops_the_thread_and_closes_the_source(self) -> None:
+    def test_closing_stops_the_thread_and_closes_the_source(self):
         source = Source(10_000)
         items = read_ahead(source(), depth=3)
         assert next(items) == 0
@@ -214,7 +211,7 @@ class TestReadAhead:
         assert source.closed
         assert source.taken <= 6
 
-    def test_a_read_that_never_comes_back_holds_nobody_up(self) -> None:
+    def test_a_read_that_never_comes_back_holds_nobody_up(self):
         go_on = threading.Event()
 
         def stuck() -> Iterator[int]:
@@ -231,7 +228,7 @@ class TestReadAhead:
 
 
 class TestWriteBehind:
-    def test_put_waits_while_the_queue_is_full(self) -> None:
+    def test_put_waits_while_the_queue_is_full(self):
         go_on = threading.Event()
         n_put: list[int] = []
 
@@ -252,7 +249,7 @@ class TestWriteBehind:
             filler.join()
         assert len(n_put) == 6
 
-    def test_error_of_the_sink_is_raised_at_put(self) -> None:
+    def test_error_of_the_sink_is_raised_at_put(self):
         written: list[object] = []
 
         def sink(n: int) -> None:
@@ -266,7 +263,7 @@ class TestWriteBehind:
                 queue.put(n)
         assert written == [0, 1]
 
-    def test_error_of_the_last_item_is_raised_at_close(self) -> None:
+    def test_error_of_the_last_item_is_raised_at_close(self):
         def sink(_: int) -> None:
             time.sleep(0.01)
             raise OSError("disk full")
@@ -276,7 +273,7 @@ class TestWriteBehind:
         with pytest.raises(OSError, match="disk full"):
             queue.close()
 
-    def test_an_error_elsewhere_drops_what_waits(self) -> None:
+    def test_an_error_elsewhere_drops_what_waits(self):
         written: list[object] = []
 
         def sink(n: int) -> None:
@@ -305,11 +302,11 @@ class TestWriteBehind:
     ],
 )
 def test_quota_of_a_container(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    files: dict[str, str],
-    quota: float | None,
-) -> None:
+    tmp_path,
+    monkeypatch,
+    files,
+    quota,
+):
     for name, text in files.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)

@@ -1,7 +1,5 @@
 """Hand-made evaluations for the tests of reports."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Answers files: damaged ones, several persons, several samples."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -49,7 +47,7 @@ def answers_of(*answers: str | None, person: str = "", first_line: int = 0) -> A
     return Answers.model_validate(table(list(answers), person=person, first_line=first_line))
 
 
-def test_answers_are_counted_by_stratum() -> None:
+def test_answers_are_counted_by_stratum():
     pooled = pool(
         [PATH], [answers_of("ground", "car", "car", CANNOT_TELL, None, "other", "ground")]
     )
@@ -69,7 +67,7 @@ def test_answers_are_counted_by_stratum() -> None:
     assert "1 answers are other" in notes
 
 
-def test_two_persons_give_kappa_and_count_once() -> None:
+def test_two_persons_give_kappa_and_count_once():
     first = answers_of("ground", "car", "ground", "car", person="Ada")
     second = answers_of("ground", "car", "car", "car", person="Ben")
     pooled = pool([PATH, PATH], [first, second])
@@ -84,7 +82,7 @@ def test_two_persons_give_kappa_and_count_once() -> None:
     assert f",accuracy,{accuracy:.6f}," in as_csv(evaluation)
 
 
-def test_the_page_has_the_counts_and_escapes_names() -> None:
+def test_the_page_has_the_counts_and_escapes_names():
     first = answers_of("ground", "car", "car", CANNOT_TELL, "other", "car", person="<i>Ada")
     second = answers_of("ground", "car", "ground", "car", person="Ben")
     pooled = pool([PATH, PATH], [first, second])
@@ -111,14 +109,14 @@ def test_the_page_has_the_counts_and_escapes_names() -> None:
     assert json.loads(data) == as_dict(evaluation)
 
 
-def test_answers_about_another_file_are_not_pooled() -> None:
+def test_answers_about_another_file_are_not_pooled():
     another = table(["ground"])
     another["classified"]["sha256"] = "cd"
     with pytest.raises(InputError, match="about another file"):
         pool([PATH, PATH], [answers_of("ground"), Answers.model_validate(another)])
 
 
-def test_nothing_answered_is_refused() -> None:
+def test_nothing_answered_is_refused():
     with pytest.raises(InputError, match="no place has an answer"):
         evaluate_sample("out.laz", ("x.json",), pool([PATH], [answers_of(None, None)]))
 
@@ -137,7 +135,7 @@ def test_nothing_answered_is_refused() -> None:
         (json.dumps(table(["ground"])).replace("900", "0"), "n_shots"),
     ],
 )
-def test_damaged_files_are_refused(text: str, message: str, tmp_path: Path) -> None:
+def test_damaged_files_are_refused(text, message, tmp_path):
     path = tmp_path / "x.json"
     path.write_text(text)
     with pytest.raises(InputError, match=message):

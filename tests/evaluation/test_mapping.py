@@ -1,7 +1,5 @@
 """Mappings from codes to classes, on paper and on real labels."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -10,7 +8,7 @@ import pytest
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.config import build
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.evaluation.mapping import ClassMapping, Side, load_mapping, preset_names
+from prc_cli.evaluation.mapping import ClassMapping, load_mapping, preset_names
 
 STREET_SCAN = ("street_scan", "street_scan_kitti", "street_scan_oakland")
 PRESETS = (
@@ -42,12 +40,12 @@ def made(**table: Any) -> ClassMapping:
     return ClassMapping(**{"predicted": {"ground": [2]}, "reference": {"ground": [2]}} | table)
 
 
-def test_presets_are_those_promised() -> None:
+def test_presets_are_those_promised():
     assert preset_names() == PRESETS
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_every_preset_takes_every_code_that_prc_predicts(name: str) -> None:
+def test_every_preset_takes_every_code_that_prc_predicts(name):
     labels = [Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND]
     labels += [Label.STEM] if name == "lehtola_forest" else [Label.BUILDING, Label.VEGETATION]
     codes = ClassCodes().lookup()[labels]
@@ -84,14 +82,14 @@ def test_every_preset_takes_every_code_that_prc_predicts(name: str) -> None:
         ("prc", 65, "other"),
     ],
 )
-def test_reference_codes_of_presets(name: str, code: int, expected: str | None) -> None:
+def test_reference_codes_of_presets(name, code, expected):
     mapping = load_mapping(name)
     index = mapping.class_indices(np.array([code]), "reference")[0]
     assert (None if index < 0 else mapping.names("reference")[index]) == expected
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int16, np.int64])
-def test_indices_do_not_depend_on_the_integer_type(dtype: type[np.integer[Any]]) -> None:
+def test_indices_do_not_depend_on_the_integer_type(dtype):
     mapping = made(
         unlisted="other", ignore=[0], reference={"ground": [2, "10-20"], "wire": ["30-31"]}
     )
@@ -100,7 +98,7 @@ def test_indices_do_not_depend_on_the_integer_type(dtype: type[np.integer[Any]])
     assert mapping.class_indices(codes, "reference").tolist() == expected
 
 
-def test_unlisted_codes_are_refused_with_codes_and_count() -> None:
+def test_unlisted_codes_are_refused_with_codes_and_count():
     with pytest.raises(InputError) as caught:
         made().class_indices(np.array([2, 9, 9, 5]), "reference")
     assert str(caught.value).startswith(
@@ -110,7 +108,7 @@ def test_unlisted_codes_are_refused_with_codes_and_count() -> None:
     assert 'unlisted = "other"' in caught.value.hint
 
 
-def test_training_ids_are_named_and_have_a_mapping() -> None:
+def test_training_ids_are_named_and_have_a_mapping():
     ids = np.array([0, 1, 9, 11, 13, 15, 17, 18, 19])
     with pytest.raises(InputError) as caught:
         load_mapping("street_kitti").class_indices(ids, "reference")
@@ -134,11 +132,11 @@ def test_training_ids_are_named_and_have_a_mapping() -> None:
     ],
 )
 def test_a_refusal_names_the_presets_that_list_the_codes(
-    name: str,
-    codes: list[int],
-    side: Side,
-    fits: str,
-) -> None:
+    name,
+    codes,
+    side,
+    fits,
+):
     with pytest.raises(InputError) as caught:
         load_mapping(name).class_indices(np.array(codes), side)
     assert caught.value.hint.startswith(f"a mapping that lists them: {fits}")
@@ -167,7 +165,7 @@ def test_a_refusal_names_the_presets_that_list_the_codes(
         ({"reference": {"gro|und": [2]}}, "reference.gro|und"),
     ],
 )
-def test_mappings_that_make_no_sense(table: dict[str, Any], expected: str) -> None:
+def test_mappings_that_make_no_sense(table, expected):
     whole = {"predicted": {"ground": [2]}, "reference": {"ground": [2]}} | table
     with pytest.raises(ConfigError) as caught:
         build(ClassMapping, whole, "classes.toml")
@@ -177,7 +175,7 @@ def test_mappings_that_make_no_sense(table: dict[str, Any], expected: str) -> No
 
 
 @pytest.mark.parametrize("unlisted", ["error", "other", "ignore"])
-def test_a_record_without_a_code_is_never_scored(unlisted: str) -> None:
+def test_a_record_without_a_code_is_never_scored(unlisted):
     table = {"unlisted": unlisted, "predicted": {"ground": [2]}, "reference": {"ground": [2]}}
     mapping = ClassMapping.model_validate(table)
     assert mapping.class_indices(np.array([-1, 2]), "reference").tolist() == [-1, 0]

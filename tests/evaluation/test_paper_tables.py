@@ -3,8 +3,6 @@
 Which figures follow from the printed counts, and which do not.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -72,7 +70,7 @@ def street() -> ConfusionMatrix:
         ("accuracy", 0.583),
     ],
 )
-def test_table_ii_scores(gate: str, value: float) -> None:
+def test_table_ii_scores(gate, value):
     matrix_scores = scores(forest())
     assert gate_value(matrix_scores, gate) == pytest.approx(value, abs=0.0006)
     assert matrix_scores.n_scored == 39_716_061
@@ -96,7 +94,7 @@ def test_table_ii_scores(gate: str, value: float) -> None:
         ("f1.horizontal", 0.766, 3),
     ],
 )
-def test_table_1_scores(gate: str, printed: float, digits: int) -> None:
+def test_table_1_scores(gate, printed, digits):
     matrix_scores = scores(street())
     # rounded to four digits in the paper, without zeros at the end; F1 and the accuracy are not
     # printed there

@@ -1,7 +1,5 @@
 """Reports as text and HTML."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -32,7 +30,7 @@ MATRIX = ConfusionMatrix(
 )
 
 
-def test_reports_show_every_score_and_the_page_says_what_it_means() -> None:
+def test_reports_show_every_score_and_the_page_says_what_it_means():
     evaluation = samples.evaluation()
     page = as_html(evaluation)
     header = as_csv(evaluation).splitlines()[0].split(",")
@@ -44,7 +42,7 @@ def test_reports_show_every_score_and_the_page_says_what_it_means() -> None:
         assert name in overall
 
 
-def test_markdown_shows_names_of_users_as_they_are() -> None:
+def test_markdown_shows_names_of_users_as_they_are():
     evaluation = samples.evaluation(predicted="a|b_*c*\n# d.npy", part="a|b <b>")
     text = as_markdown(evaluation)
     assert "a\\|b\\_\\*c\\* \\# d.npy" in text
@@ -60,7 +58,7 @@ def test_markdown_shows_names_of_users_as_they_are() -> None:
         assert len({line.replace("\\|", "").count("|") for line in table}) == 1
 
 
-def test_agreement_of_chance_is_told() -> None:
+def test_agreement_of_chance_is_told():
     evaluation = samples.evaluation()
     assert doubts(evaluation) == ()
     rng = np.random.default_rng(4)
@@ -135,7 +133,7 @@ def full_page() -> tuple[Evaluation, str]:
     )
 
 
-def test_page_is_well_formed_and_needs_nothing_else() -> None:
+def test_page_is_well_formed_and_needs_nothing_else():
     _, text = full_page()
     page = Page(text)
     assert text.startswith("<!DOCTYPE html>")
@@ -155,7 +153,7 @@ def test_page_is_well_formed_and_needs_nothing_else() -> None:
     assert len(set(identifiers)) == len(identifiers)
 
 
-def test_text_of_users_is_shown_and_never_read_as_html() -> None:
+def test_text_of_users_is_shown_and_never_read_as_html():
     evaluation = samples.evaluation(
         predicted=NASTY_NAME, mapping=NASTY_NAME, note=NASTY_NAME, part=NASTY_NAME
     )
@@ -167,6 +165,6 @@ def test_text_of_users_is_shown_and_never_read_as_html() -> None:
     assert json.loads(page.data)["files"]["predicted"] == [NASTY_NAME]
 
 
-def test_pictures_that_are_not_png_are_refused() -> None:
+def test_pictures_that_are_not_png_are_refused():
     with pytest.raises(InputError, match="over: is no PNG picture"):
         as_html(samples.MATRIX, pictures=[("over", b"GIF89a")])

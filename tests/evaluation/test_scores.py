@@ -1,7 +1,5 @@
 """Confusion matrices, scores, gates, intervals and splits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -29,7 +27,7 @@ TABLE_II = np.array(
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_scikit_learn_says_the_same(seed: int) -> None:
+def test_scikit_learn_says_the_same(seed):
     metrics = pytest.importorskip("sklearn.metrics")
     rng = np.random.default_rng(seed)
     names = ("a", "b", "c", "d")
@@ -57,7 +55,7 @@ def test_scikit_learn_says_the_same(seed: int) -> None:
     assert matrix_scores.kappa == pytest.approx(metrics.cohen_kappa_score(reference, predicted))
 
 
-def test_good_points_called_noise_are_a_share_of_the_reference() -> None:
+def test_good_points_called_noise_are_a_share_of_the_reference():
     """Noise is no good point; every other class counts, those without counterpart too."""
     rows = ("noise", "ground", "wire")
     counts = np.array([[50, 5, 0], [10, 90, 0], [30, 10, 0]])
@@ -89,7 +87,7 @@ def test_good_points_called_noise_are_a_share_of_the_reference() -> None:
         ("", "found score ''"),
     ],
 )
-def test_unknown_gates_name_those_there_are(name: str, expected: str) -> None:
+def test_unknown_gates_name_those_there_are(name, expected):
     matrix_scores = scores(ConfusionMatrix(FOREST, FOREST, TABLE_II))
     with pytest.raises(ConfigError) as caught:
         gate_value(matrix_scores, name)
@@ -109,7 +107,7 @@ MAPPING = ClassMapping(
     ),
     cut=st.integers(0, 60),
 )
-def test_any_cut_gives_the_same_counts(pairs: list[tuple[int, int]], cut: int) -> None:
+def test_any_cut_gives_the_same_counts(pairs, cut):
     codes = np.array(pairs, dtype=np.int64).reshape(-1, 2)
     whole = accumulate(ConfusionMatrix.empty(MAPPING), codes[:, 0], codes[:, 1], MAPPING)
     state = ConfusionMatrix.empty(MAPPING)
@@ -120,7 +118,7 @@ def test_any_cut_gives_the_same_counts(pairs: list[tuple[int, int]], cut: int) -
     assert whole.n_scored + whole.n_ignored == len(pairs)
 
 
-def test_passed_and_failed() -> None:
+def test_passed_and_failed():
     results = check_gates(
         scores(MATRIX),
         [Gate("recall.ground", 0.9), Gate("accuracy", 1.0), Gate("recall.stem", 0.0)],
@@ -143,13 +141,13 @@ def test_passed_and_failed() -> None:
 @pytest.mark.parametrize(
     "text", ["recall.ground", "recall.ground=", "recall.ground=x", "accuracy=1.1", "kappa=nan"]
 )
-def test_limits_that_make_no_sense(text: str) -> None:
+def test_limits_that_make_no_sense(text):
     with pytest.raises(ConfigError, match="--fail-under: found"):
         parse_gate(text, load_mapping("prc"))
 
 
 @pytest.mark.parametrize("score", ["recall", "precision", "f1", "iou", "accuracy"])
-def test_classes_of_one_side_have_no_gate_and_are_not_offered(score: str) -> None:
+def test_classes_of_one_side_have_no_gate_and_are_not_offered(score):
     mapping = ClassMapping(
         unlisted="other",
         predicted={"ground": (2,), "noise": (7,)},
@@ -180,7 +178,7 @@ def blocks_of(n: int, seed: int = 0, size: int = 400) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["recall.stem", "iou.ground", "kappa", "balanced_accuracy"])
-def test_jackknife_by_hand(name: str) -> None:
+def test_jackknife_by_hand(name):
     blocks = blocks_of(9)
     left_out = [
         gate_value(scores(ConfusionMatrix(*NAMES, np.delete(blocks, k, axis=0).sum(axis=0))), name)
@@ -201,7 +199,7 @@ TWO_CLASSES = ClassMapping(
 
 
 @pytest.mark.parametrize("spread", [3, 1_000_000_007])
-def test_groups_are_counted_as_if_alone(spread: int) -> None:
+def test_groups_are_counted_as_if_alone(spread):
     random = np.random.default_rng(0)
     n = 5000
     group = random.integers(-1, 40, n) * spread
@@ -226,7 +224,7 @@ def test_groups_are_counted_as_if_alone(spread: int) -> None:
     np.testing.assert_array_equal(counts.scored(), blocks)
 
 
-def test_kappa_may_lie_below_that_of_chance() -> None:
+def test_kappa_may_lie_below_that_of_chance():
     """Two classes that are mistaken for each other."""
     blocks = np.array([[[k, 30], [30, k]] for k in range(6)])
     intervals = block_intervals(blocks, ("a", "b"), ("a", "b"))
@@ -234,6 +232,6 @@ def test_kappa_may_lie_below_that_of_chance() -> None:
     assert intervals["accuracy"].low >= 0.0
 
 
-def test_one_block_has_no_interval() -> None:
+def test_one_block_has_no_interval():
     with pytest.raises(InputError, match="at least 2 blocks with scored pairs, found 1"):
         block_intervals(TABLE_II[None], FOREST, FOREST)

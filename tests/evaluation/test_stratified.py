@@ -3,8 +3,6 @@
 The intervals are tried on made-up drives whose scores are known.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -45,7 +43,7 @@ def sample(
     )
 
 
-def test_the_example_of_olofsson() -> None:
+def test_the_example_of_olofsson():
     scores = estimates(OLOFSSON)
     assert scores["accuracy"].value == pytest.approx(0.95, abs=0.005)
     assert 1.96 * scores["accuracy"].standard_error == pytest.approx(0.02, abs=0.005)
@@ -58,7 +56,7 @@ def test_the_example_of_olofsson() -> None:
     assert hectares[0] == pytest.approx(21_158, abs=0.5)
 
 
-def test_one_stratum_by_hand() -> None:
+def test_one_stratum_by_hand():
     """80 of 100 answers are right: a plain proportion, and the interval of its beta mixture."""
     score = estimate(sample("ab", [10**9, 1], [[80, 20], [0, 1]]), "precision.a")
     assert score.value == 0.8
@@ -71,7 +69,7 @@ def test_one_stratum_by_hand() -> None:
     assert score.n_more == pytest.approx(100 * ((score.high - score.low) ** 2 / 0.04**2 - 1), abs=1)
 
 
-def test_weights_count_not_answers() -> None:
+def test_weights_count_not_answers():
     """Both strata have ten answers, but the second one has nine tenths of the shots."""
     scores = estimates(sample("ab", [100_000, 900_000], [[10, 0], [5, 5]]))
     assert scores["accuracy"].value == pytest.approx(0.1 + 0.9 / 2)
@@ -81,7 +79,7 @@ def test_weights_count_not_answers() -> None:
     assert scores["recall.b"].value == 1
 
 
-def test_an_error_nobody_saw_is_in_the_interval() -> None:
+def test_an_error_nobody_saw_is_in_the_interval():
     """Ten million shots of b with no error among 100 may hide more of a than there is."""
     score = estimate(sample("ab", [10_000, 10_000_000], [[50, 0], [0, 100]]), "recall.a")
     assert score.value == 1
@@ -93,9 +91,7 @@ def test_an_error_nobody_saw_is_in_the_interval() -> None:
     st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4)), min_size=3, max_size=3),
     st.lists(st.integers(10, 10**6), min_size=3, max_size=3),
 )
-def test_every_interval_contains_its_estimate(
-    answers: list[tuple[int, int]], n_shots: list[int]
-) -> None:
+def test_every_interval_contains_its_estimate(answers, n_shots):
     """Also with two answers that are all right or all wrong."""
     few, _ = collapse(sample("aab", n_shots, [list(row) for row in answers]))
     for score in estimates(few).values() if few.predicted else ():
@@ -103,33 +99,33 @@ def test_every_interval_contains_its_estimate(
             assert 0 <= score.low <= score.value <= score.high <= 1
 
 
-def test_one_wrong_answer_says_little() -> None:
+def test_one_wrong_answer_says_little():
     score = estimate(sample("ab", [1_000, 1_000], [[0, 1], [0, 9]]), "precision.a")
     assert score.value == score.low == 0
     assert score.high > 0.9
 
 
-def test_a_stratum_that_was_answered_whole_is_known() -> None:
+def test_a_stratum_that_was_answered_whole_is_known():
     score = estimate(sample("ab", [10, 20], [[9, 1], [0, 20]]), "accuracy")
     assert score.low == pytest.approx(score.value)
     assert score.high == pytest.approx(score.value)
 
 
-def test_strata_of_confidence_count_by_their_shots() -> None:
+def test_strata_of_confidence_count_by_their_shots():
     """Two strata of a: 90 % of its shots are right, 10 % are half right."""
     scores = estimates(sample("aab", [9_000, 1_000, 5_000], [[20, 0], [10, 10], [0, 20]]))
     assert scores["precision.a"].value == pytest.approx(0.95)
     assert scores["recall.b"].value == pytest.approx(5_000 / 5_500)
 
 
-def test_cannot_tell_gives_bounds() -> None:
+def test_cannot_tell_gives_bounds():
     score = estimate(sample("ab", [500, 500], [[8, 0], [0, 10]], [2, 0]), "accuracy")
     assert score.value == 1
     assert score.worst == pytest.approx(0.5 * 0.8 + 0.5)
     assert score.best == 1
 
 
-def test_strata_with_few_answers_are_joined() -> None:
+def test_strata_with_few_answers_are_joined():
     few = sample("aabc", [90, 10, 50, 7], [[10, 0, 0], [1, 0, 0], [0, 5, 0], [0, 0, 0]])
     joined, unanswered = collapse(few)
     assert joined.predicted == ("a", "b")
@@ -139,7 +135,7 @@ def test_strata_with_few_answers_are_joined() -> None:
 
 
 @given(st.lists(st.integers(1, 10**8), min_size=1, max_size=20), st.integers(10, 2_000))
-def test_allocation_gives_what_was_asked_for(n_shots: list[int], n: int) -> None:
+def test_allocation_gives_what_was_asked_for(n_shots, n):
     drawn = allocate(n_shots, n)
     assert all(min(2, count) <= k <= count for count, k in zip(n_shots, drawn, strict=True))
     least = sum(min(2, count) for count in n_shots)
@@ -213,7 +209,7 @@ def coverage(made: Drive, n: int, n_draws: int) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("name", ["usual", "rare"])
-def test_intervals_contain_the_truth(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_intervals_contain_the_truth(name, monkeypatch):
     """A quick look; the slow test below looks at every kind of drive."""
     monkeypatch.setattr(stratified, "N_DRAWS", 400)
     covered = coverage(DRIVES[name], 300, 100)

@@ -1,8 +1,6 @@
 """An archive of small mixed files, and runs of ``prc batch`` over it that tests can kill and
 inspect."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import random

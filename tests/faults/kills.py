@@ -5,8 +5,6 @@ chain finish.
 reason at the first fault. ``--engine dask`` kills runs with a scheduler and workers that were
 started before, and these too."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import random

@@ -5,8 +5,6 @@ removing a file, or opening it to write. ``python -m tests.faults.step_kills`` t
 ``--every 7`` each seventh; ``--names`` kills right after a file got its name instead. Exit code 1
 at the first fault."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

@@ -3,8 +3,6 @@
 Folders that are full.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import random
@@ -20,7 +18,6 @@ from prc_cli.jobs.batch.types import OWN_FOLDER
 from tests import patience
 from tests.faults.harness import (
     FAST,
-    Archive,
     Batch,
     check_nothing_half,
     entries,
@@ -46,7 +43,7 @@ def failures(said: str) -> list[str]:
 
 @pytest.mark.long
 @pytest.mark.parametrize("fate", ["vanishes", "becomes a pipe"])
-def test_an_input_that_is_gone_when_its_turn_comes(few: Archive, tmp_path: Path, fate: str) -> None:
+def test_an_input_that_is_gone_when_its_turn_comes(few, tmp_path, fate):
     out = tmp_path / "out"
     path = few.folder / LAST
     aside = tmp_path / "aside"
@@ -65,7 +62,7 @@ def test_an_input_that_is_gone_when_its_turn_comes(few: Archive, tmp_path: Path,
     resume(few, out)
 
 
-def test_inputs_that_change_while_they_are_read_are_not_done(few: Archive, tmp_path: Path) -> None:
+def test_inputs_that_change_while_they_are_read_are_not_done(few, tmp_path):
     """As copies that are not complete.
 
     Whenever the run opens them again one is longer, the other one is younger.
@@ -85,9 +82,7 @@ def test_inputs_that_change_while_they_are_read_are_not_done(few: Archive, tmp_p
 
 
 @pytest.mark.long
-def test_an_input_that_is_replaced_again_and_again_ends_with_the_output_of_the_last(
-    few: Archive, tmp_path: Path
-) -> None:
+def test_an_input_that_is_replaced_again_and_again_ends_with_the_output_of_the_last(few, tmp_path):
     """By renaming, as a careful copy does."""
     out = tmp_path / "out"
     rng = random.Random(5)
@@ -112,7 +107,7 @@ def test_an_input_that_is_replaced_again_and_again_ends_with_the_output_of_the_l
 
 
 @pytest.mark.long
-def test_a_shut_input_costs_itself_alone(few: Archive, tmp_path: Path) -> None:
+def test_a_shut_input_costs_itself_alone(few, tmp_path):
     out = tmp_path / "out"
     (few.folder / FIRST).chmod(0)
     (few.folder / "2026/day 2").chmod(0)
@@ -128,9 +123,7 @@ def test_a_shut_input_costs_itself_alone(few: Archive, tmp_path: Path) -> None:
     resume(few, out)
 
 
-def test_corrupt_files_and_things_that_are_no_files_cost_themselves_alone(
-    few: Archive, tmp_path: Path
-) -> None:
+def test_corrupt_files_and_things_that_are_no_files_cost_themselves_alone(few, tmp_path):
     out = tmp_path / "out"
     rng = random.Random(6)
     bad = few.folder / "bad"
@@ -208,9 +201,7 @@ def change(disk: Path, options: str) -> None:
     "share",
     [pytest.param(0.02, marks=pytest.mark.long), 0.5, pytest.param(0.9, marks=pytest.mark.long)],
 )
-def test_a_full_disk_is_said_so_and_after_room_was_made_the_run_goes_on(
-    few: Archive, tmp_path: Path, share: float
-) -> None:
+def test_a_full_disk_is_said_so_and_after_room_was_made_the_run_goes_on(few, tmp_path, share):
     needed = sum(map(len, few.whole.values())) // 1024
     with small_disk(tmp_path / "disk", max(60, int(share * needed))) as disk:
         out = disk / "out"
@@ -223,7 +214,7 @@ def test_a_full_disk_is_said_so_and_after_room_was_made_the_run_goes_on(
 
 
 @pytest.mark.long
-def test_a_disk_that_becomes_read_only_keeps_what_it_has(few: Archive, tmp_path: Path) -> None:
+def test_a_disk_that_becomes_read_only_keeps_what_it_has(few, tmp_path):
     """The state an ext4 gets into after an error."""
     with small_disk(tmp_path / "disk", 50_000) as disk:
         out = disk / "out"
@@ -246,7 +237,7 @@ def test_a_disk_that_becomes_read_only_keeps_what_it_has(few: Archive, tmp_path:
 
 @pytest.mark.long
 @pytest.mark.parametrize("what", ["all of it", "a folder in it"])
-def test_a_shut_output_folder_is_said_so(few: Archive, tmp_path: Path, what: str) -> None:
+def test_a_shut_output_folder_is_said_so(few, tmp_path, what):
     out = tmp_path / "out"
     shut = out if what == "all of it" else out / "2026"
     shut.mkdir(parents=True)
@@ -266,7 +257,7 @@ def test_a_shut_output_folder_is_said_so(few: Archive, tmp_path: Path, what: str
     resume(few, out)
 
 
-def test_outputs_of_somebody_else_stay(few: Archive, tmp_path: Path) -> None:
+def test_outputs_of_somebody_else_stay(few, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     (out / "rückweg.las").write_bytes(b"mine")

@@ -1,8 +1,6 @@
 """Killed at any moment: no partial file under its final name, and the next run completes as
 usual."""
 
-from __future__ import annotations
-
 import os
 import random
 import re
@@ -35,7 +33,7 @@ from tests.patience import wait_until
 pytestmark = pytest.mark.slow
 
 
-def test_some_kills(few: Archive, tmp_path: Path) -> None:
+def test_some_kills(few, tmp_path):
     """Everything, then the first process alone, then a worker, while a file is at work in one
     folder."""
     out = tmp_path / "out"
@@ -55,14 +53,14 @@ def test_some_kills(few: Archive, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_many_kills(archive: Archive, tmp_path: Path) -> None:
+def test_many_kills(archive, tmp_path):
     """``python -m tests.faults.kills --kills 200`` does this 200 times."""
     tally = kill_many(archive, tmp_path, 40, seed=4)
     assert tally.with_running > 5
 
 
 @pytest.mark.long
-def test_kills_with_dask(fast: Archive, tmp_path: Path) -> None:
+def test_kills_with_dask(fast, tmp_path):
     """Of the run, its workers and the scheduler."""
     kill_many(fast, tmp_path, 4, seed=13, engine="dask")
 
@@ -70,9 +68,7 @@ def test_kills_with_dask(fast: Archive, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 12))]
 )
-def test_a_kill_just_before_a_step_in_the_output_folder(
-    fast: Archive, tmp_path: Path, seed: int
-) -> None:
+def test_a_kill_just_before_a_step_in_the_output_folder(fast, tmp_path, seed):
     """``python -m tests.faults.step_kills`` takes every step."""
     rng = random.Random(seed)
     two = part_of(fast, tmp_path / "archive", step_kills.NAMES)
@@ -81,9 +77,7 @@ def test_a_kill_just_before_a_step_in_the_output_folder(
 
 @pytest.mark.long
 @pytest.mark.parametrize("victims", ["all", "self"])
-def test_a_kill_right_after_a_file_got_its_name(
-    fast: Archive, tmp_path: Path, victims: str
-) -> None:
+def test_a_kill_right_after_a_file_got_its_name(fast, tmp_path, victims):
     """``python -m tests.faults.step_kills --names`` takes every name."""
     two = part_of(fast, tmp_path / "archive", step_kills.NAMES)
     strike_step(two, tmp_path / "out", Strike(4, victims, names=True))
@@ -132,11 +126,11 @@ def known(out: Path) -> list[Entry]:
     ],
 )
 def test_a_signal_ends_the_run_within_seconds(
-    few: Archive,
-    tmp_path: Path,
-    number: int,
-    n_times: int,
-) -> None:
+    few,
+    tmp_path,
+    number,
+    n_times,
+):
     out = tmp_path / "out"
     batch = run_into(few, out, FAST[1:])
     assert batch.strike(number)
@@ -160,7 +154,7 @@ def test_a_signal_ends_the_run_within_seconds(
 
 
 @pytest.mark.long
-def test_a_closed_terminal_leaves_no_worker(few: Archive, tmp_path: Path) -> None:
+def test_a_closed_terminal_leaves_no_worker(few, tmp_path):
     batch = run_into(few, tmp_path / "out", FAST[1:])
     batch.strike(signal.SIGHUP)
     batch.ends(128 + signal.SIGHUP)
@@ -170,7 +164,7 @@ def test_a_closed_terminal_leaves_no_worker(few: Archive, tmp_path: Path) -> Non
 
 
 @pytest.mark.long
-def test_two_runs_at_once_do_no_harm(few: Archive, tmp_path: Path) -> None:
+def test_two_runs_at_once_do_no_harm(few, tmp_path):
     out = tmp_path / "out"
     runs = [Batch(few, out, jobs=1) for _ in range(2)]
     ended = sorted(run.end() for run in runs)
@@ -185,9 +179,7 @@ def test_two_runs_at_once_do_no_harm(few: Archive, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_shards_side_by_side_and_killed_end_with_the_same_bytes(
-    archive: Archive, tmp_path: Path
-) -> None:
+def test_shards_side_by_side_and_killed_end_with_the_same_bytes(archive, tmp_path):
     out = tmp_path / "out"
     for _ in range(2):
         runs = [Batch(archive, out, "--shard", f"{i}/3", jobs=1) for i in (1, 2, 3)]

@@ -5,8 +5,6 @@ a file is on the disk before it gets its name, the name before the end.
 ``strace`` watches all processes and threads of a command. Skipped where it is not installed or may
 not trace."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -17,7 +15,6 @@ from pathlib import Path
 import pytest
 
 from tests import patience
-from tests.faults.harness import Archive
 from tests.fuzz.seeds import seed
 
 pytestmark = pytest.mark.slow
@@ -133,9 +130,7 @@ def check_order(traced_calls: list[tuple[str, list[str]]], out: Path) -> set[str
         ),
     ],
 )
-def test_a_file_is_on_the_disk_before_it_has_its_name(
-    tmp_path: Path, words: tuple[str, ...], outputs: tuple[str, ...]
-) -> None:
+def test_a_file_is_on_the_disk_before_it_has_its_name(tmp_path, words, outputs):
     seeds = tmp_path / "seeds"
     out = tmp_path / "out"
     for folder in (seeds, out):
@@ -149,7 +144,7 @@ def test_a_file_is_on_the_disk_before_it_has_its_name(
 
 
 @pytest.mark.long
-def test_so_is_every_file_of_a_batch(few: Archive, tmp_path: Path) -> None:
+def test_so_is_every_file_of_a_batch(few, tmp_path):
     """Outputs of the workers, and what the run itself keeps.
 
     SQLite flushes its journal by itself.
@@ -163,7 +158,7 @@ def test_so_is_every_file_of_a_batch(few: Archive, tmp_path: Path) -> None:
     assert "summary.json" in named
 
 
-def test_what_is_out_of_order_is_seen(tmp_path: Path) -> None:
+def test_what_is_out_of_order_is_seen(tmp_path):
     part = "/out/.a.part"
     name = "/out/a"
     out = Path("/out")

@@ -1,7 +1,5 @@
 """PLY and PCD files and pulse folders, made by code without using the package."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Blocks and run records for tests of writers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Writers of small PTX and E57 files, valid and damaged."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 """Times in other units than seconds, and clocks that begin anew at the end of an hour, a day or a
 week."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -18,7 +16,7 @@ def read_times(time: np.ndarray, unit: str = "auto") -> tuple[np.ndarray, tuple[
 
 
 @pytest.mark.parametrize("period_s", PERIODS_S)
-def test_a_clock_that_begins_anew_counts_on(period_s: float) -> None:
+def test_a_clock_that_begins_anew_counts_on(period_s):
     wanted = period_s - 0.2 + np.arange(4000) * 1e-4
     swapped = wanted % period_s
     swapped[[1999, 2000]] = swapped[[2000, 1999]]
@@ -29,7 +27,7 @@ def test_a_clock_that_begins_anew_counts_on(period_s: float) -> None:
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
-def test_large_times_are_in_the_unit_that_makes_them_seconds(unit: str, factor: float) -> None:
+def test_large_times_are_in_the_unit_that_makes_them_seconds(unit, factor):
     seconds = 1.7e9 + np.arange(4000) * 1.25e-5
     detected, notes = read_times(np.rint(seconds * factor))
     np.testing.assert_allclose(detected, seconds, atol=6e-4)
@@ -38,7 +36,7 @@ def test_large_times_are_in_the_unit_that_makes_them_seconds(unit: str, factor: 
     np.testing.assert_allclose(converted, seconds, atol=1e-3)
 
 
-def test_the_bounds_of_records_are_those_of_all_chunks() -> None:
+def test_the_bounds_of_records_are_those_of_all_chunks():
     values = {name: np.array([3.0, np.nan, 1.0, 2.0]) + k for k, name in enumerate("xyz")}
     contents = Contents()
     values |= {"time": np.arange(5.0, 9.0), "classification": np.array([2, 6, 2, 2])}

@@ -1,13 +1,10 @@
 """A format of another package, found by its entry point, goes through the commands."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
 import sys
 import textwrap
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +13,7 @@ import pytest
 from prc_cli.core import plugins
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.registry import Format, by_suffix, formats
+from prc_cli.formats.registry import by_suffix, formats
 from prc_cli.formats.testing import check_reads
 from prc_cli.streams.open import open_input
 from tests.street import angles, street
@@ -84,7 +81,7 @@ TOY = Format(
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def installed(tmp_path_factory):
     """A folder of packages with the toy format."""
     folder = tmp_path_factory.mktemp("installed")
     about = folder / "toy_of_a_test-1.dist-info"
@@ -96,7 +93,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def drive(tmp_path_factory):
     """A drive in the toy format, with classes: noise beyond 30 m, else surfaces."""
     range_m = street()
     line, column = np.indices(range_m.shape)
@@ -128,7 +125,7 @@ def run(installed: Path, *words: object) -> str:
     return done.stdout
 
 
-def test_info_describes_it(installed: Path, drive: Path) -> None:
+def test_info_describes_it(installed, drive):
     info = json.loads(run(installed, "info", drive, "--json"))
     assert info["format"] == "toy"
     assert info["header"] == {"made by": "a test"}
@@ -136,7 +133,7 @@ def test_info_describes_it(installed: Path, drive: Path) -> None:
 
 
 @pytest.fixture
-def toy(installed: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Format]:
+def toy(installed, monkeypatch):
     """The format in this process."""
     monkeypatch.syspath_prepend(str(installed))
     plugins.installed.cache_clear()
@@ -149,13 +146,11 @@ def toy(installed: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Format]:
     by_suffix.cache_clear()
 
 
-def test_it_passes_the_kit(toy: Format, drive: Path) -> None:
+def test_it_passes_the_kit(toy, drive):
     assert check_reads(toy, drive) == street().size
 
 
-def test_the_line_frequency_of_a_header_gives_the_times_of_a_window(
-    toy: Format, drive: Path
-) -> None:
+def test_the_line_frequency_of_a_header_gives_the_times_of_a_window(toy, drive):
     config = InputConfig(first="1s")
     stream = open_input(Input.of(drive), config)
     assert stream.info.line_hz == 50.0
@@ -163,9 +158,7 @@ def test_the_line_frequency_of_a_header_gives_the_times_of_a_window(
 
 
 @pytest.mark.slow
-def test_it_is_classified_alone_and_in_a_batch_and_evaluated(
-    installed: Path, drive: Path, tmp_path: Path
-) -> None:
+def test_it_is_classified_alone_and_in_a_batch_and_evaluated(installed, drive, tmp_path):
     urban = ("--preset", "prc-2019-urban")
     archive = tmp_path / "out"
     run(installed, "classify", drive, tmp_path / "drive.toylabels", *urban)

@@ -1,7 +1,5 @@
 """An input is resolved once: file, parts, format, layout, and why it cannot be read."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +24,7 @@ fields = [{ name = "range", type = "f4" }]
 """
 
 
-def test_nothing_is_refused_before_the_check(tmp_path: Path) -> None:
+def test_nothing_is_refused_before_the_check(tmp_path):
     scan = Input.of(tmp_path / "none.laz")
     assert scan.is_las
     for ask in (scan.check, scan.records, lambda: scan.images(InputConfig())):
@@ -42,15 +40,13 @@ def test_nothing_is_refused_before_the_check(tmp_path: Path) -> None:
         ("a", b"x", "no suffix"),
     ],
 )
-def test_an_input_that_cannot_be_read_says_why(
-    tmp_path: Path, name: str, data: bytes, message: str
-) -> None:
+def test_an_input_that_cannot_be_read_says_why(tmp_path, name, data, message):
     (tmp_path / name).write_bytes(data)
     with pytest.raises(InputError, match=message):
         Input.of(tmp_path / name).check()
 
 
-def test_a_bag_of_several_files_is_its_metadata(tmp_path: Path) -> None:
+def test_a_bag_of_several_files_is_its_metadata(tmp_path):
     bag = tmp_path / "bag"
     bag.mkdir()
     names = ("bag_0.db3", "bag_1.db3")
@@ -65,7 +61,7 @@ def test_a_bag_of_several_files_is_its_metadata(tmp_path: Path) -> None:
         Input.of(bag).check()
 
 
-def test_the_layout_beside_a_dump_is_the_lowest_layer(tmp_path: Path) -> None:
+def test_the_layout_beside_a_dump_is_the_lowest_layer(tmp_path):
     dump = tmp_path / "a.bin"
     dump.write_bytes(bytes(64))
     beside = tmp_path / "a.bin.toml"
@@ -106,9 +102,7 @@ def test_the_layout_beside_a_dump_is_the_lowest_layer(tmp_path: Path) -> None:
         ("a.foo", ("rename the file or convert it",)),
     ],
 )
-def test_the_maker_and_the_export_are_named(
-    tmp_path: Path, name: str, words: tuple[str, ...]
-) -> None:
+def test_the_maker_and_the_export_are_named(tmp_path, name, words):
     path = tmp_path / name
     path.write_bytes(b"1234")
     with pytest.raises(InputError) as caught:
@@ -116,12 +110,12 @@ def test_the_maker_and_the_export_are_named(
     assert all(word in caught.value.hint for word in words)
 
 
-def test_an_output_that_prc_no_longer_writes_has_a_hint() -> None:
+def test_an_output_that_prc_no_longer_writes_has_a_hint():
     with pytest.raises(ConfigError, match=r"writes no E57: write \.laz for other programs"):
         stream_suffix(Path("station.e57"))
 
 
-def test_a_copy_that_never_ended_is_refused(tmp_path: Path) -> None:
+def test_a_copy_that_never_ended_is_refused(tmp_path):
     path = tmp_path / "a.npy"
     with path.open("wb") as handle:
         np.lib.format.write_array_header_1_0(

@@ -1,7 +1,5 @@
 """Bags, and captures, of one drive are one stream."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +34,7 @@ def check_joined(whole: Path, parts: list[Path]) -> list[int]:
     return firsts
 
 
-def test_bags_of_one_drive(tmp_path: Path) -> None:
+def test_bags_of_one_drive(tmp_path):
     sent = messages(bags.drive(800))
     whole = bags.write_bag(tmp_path / "a.bag", sent)
     parts = [bags.write_bag(tmp_path / f"a_{k}.bag", sent[2 * k : 2 * k + 2]) for k in range(2)]
@@ -44,7 +42,7 @@ def test_bags_of_one_drive(tmp_path: Path) -> None:
     assert check_joined(whole, parts)[1] == n_first
 
 
-def test_captures_of_one_drive(tmp_path: Path) -> None:
+def test_captures_of_one_drive(tmp_path):
     frames = captures.framed(captures.vlp16())
     whole = captures.write_pcap(tmp_path / "a.pcap", frames)
     parts = [
@@ -54,7 +52,7 @@ def test_captures_of_one_drive(tmp_path: Path) -> None:
     assert check_joined(whole, parts) == [0, 10 * 384, 20 * 384]
 
 
-def test_files_that_cannot_be_joined_leave_no_folder(tmp_path: Path) -> None:
+def test_files_that_cannot_be_joined_leave_no_folder(tmp_path):
     parts = [tmp_path / "a.npy", tmp_path / "b.npy"]
     for part in parts:
         np.save(part, np.ones((40, 50), np.float32))

@@ -1,7 +1,5 @@
 """The kit that every format is tested with, and formats from outside."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 
@@ -35,7 +33,7 @@ SAMPLES = (
 
 
 @pytest.mark.parametrize("suffix", by_suffix("streams"))
-def test_streams_are_written_alike_and_come_back(tmp_path: Path, suffix: str) -> None:
+def test_streams_are_written_alike_and_come_back(tmp_path, suffix):
     check_round_trip(by_suffix("streams")[suffix], suffix, tmp_path)
 
 
@@ -49,13 +47,13 @@ def laid(folder: Path, name: str) -> tuple[Format, Path, Layout | None]:
 
 
 @pytest.mark.parametrize("name", SAMPLES)
-def test_samples_are_read_alike(tmp_path: Path, name: str) -> None:
+def test_samples_are_read_alike(tmp_path, name):
     assert check_reads(*laid(tmp_path, name)) > 0
 
 
 # the hostile tests damage all others
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["pf6.laz", "a.npz", "a.csv.gz", "lzf.pcd", "a.ptx", "plain.mcap"])
-def test_damaged_samples_are_read_or_refused(tmp_path: Path, name: str) -> None:
+def test_damaged_samples_are_read_or_refused(tmp_path, name):
     form, path, layout = laid(tmp_path, name)
     check_damage(form, path, tmp_path, layout, n_cases=30)

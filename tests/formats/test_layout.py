@@ -1,7 +1,5 @@
 """Layouts, their options and the ranges that come out: which return of a shot stands."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from pathlib import Path
@@ -61,7 +59,7 @@ def layout(*fields: dict[str, Any], **keys: Any) -> Layout:
         ),
     ],
 )
-def test_layouts_that_contradict_themselves(config: Layout, message: str) -> None:
+def test_layouts_that_contradict_themselves(config, message):
     with pytest.raises(ConfigError) as caught:
         record_dtype(config)
     assert message in str(caught.value)
@@ -76,12 +74,12 @@ def test_layouts_that_contradict_themselves(config: Layout, message: str) -> Non
     order=st.sampled_from(["<i4", ">i4"]),
 )
 def test_value_is_stored_times_scale_plus_offset(
-    stored: list[int],
-    scale: float,
-    offset: float,
-    missing: float | None,
-    order: str,
-) -> None:
+    stored,
+    scale,
+    offset,
+    missing,
+    order,
+):
     item = LayoutField(name="range", type="i4", scale=scale, offset=offset, missing=missing)
     expected = [math.nan if value == missing else value * scale + offset for value in stored]
     np.testing.assert_array_equal(decode(np.array(stored, order), item), expected)
@@ -102,13 +100,13 @@ SAMPLES = Path(__file__).resolve().parents[2] / "sample_configs" / "layouts"
     ],
 )
 def test_the_example_in_a_sample_layout_makes_a_file_that_the_layout_reads(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    name: str,
-    n: int,
-    share_missing: float,
-    value: float,
-) -> None:
+    tmp_path,
+    monkeypatch,
+    name,
+    n,
+    share_missing,
+    value,
+):
     sample = (SAMPLES / f"{name}.toml").read_text(encoding="utf-8")
     sample_layout = Layout.model_validate(tomllib.loads(sample)["layout"])
     example = [line[6:] for line in sample.splitlines() if line.startswith("#     ")]
@@ -127,14 +125,14 @@ def test_the_example_in_a_sample_layout_makes_a_file_that_the_layout_reads(
     np.testing.assert_allclose(ranges[~np.isnan(ranges)], value, rtol=1e-7)
 
 
-def test_every_sample_layout_is_tried_above() -> None:
+def test_every_sample_layout_is_tried_above():
     tried = test_the_example_in_a_sample_layout_makes_a_file_that_the_layout_reads.pytestmark[
         0
     ].args[1]  # type: ignore[attr-defined]
     assert {path.stem for path in SAMPLES.glob("*.toml")} == {case[0] for case in tried}
 
 
-def test_every_reason_is_counted_once() -> None:
+def test_every_reason_is_counted_once():
     stored = np.array([np.nan, np.inf, -np.inf, 0.0, -0.0, -5.0, 0.5, 1.0, 1.5, 100.0, 100.5])
     ranges, tally = clean_ranges(stored, min_range=1.0, max_range=100.0)
     np.testing.assert_array_equal(np.flatnonzero(~np.isnan(ranges)), [8, 9])
@@ -152,7 +150,7 @@ def _frame(n_fields: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("n_fields", [4, 5, 6])
-def test_frames_of_the_usual_layouts_are_known(tmp_path: Path, n_fields: int) -> None:
+def test_frames_of_the_usual_layouts_are_known(tmp_path, n_fields):
     path = tmp_path / "a.pcd.bin"
     frame = _frame(n_fields)
     frame.tofile(path)
@@ -165,7 +163,7 @@ def test_frames_of_the_usual_layouts_are_known(tmp_path: Path, n_fields: int) ->
     assert len(fields.fields) == n_fields
 
 
-def test_a_frame_that_is_cut_to_a_picture_is_one(tmp_path: Path) -> None:
+def test_a_frame_that_is_cut_to_a_picture_is_one(tmp_path):
     frame = _frame(4)
     frame[np.abs(np.arctan2(frame[:, 1], frame[:, 0])) < np.pi / 4].tofile(tmp_path / "a.bin")
     assert frame_fields(tmp_path / "a.bin") == FRAME_FIELDS[:4]

@@ -1,7 +1,5 @@
 """Usual names: of two directions beside a range the vertical one is the angle of the shot."""
 
-from __future__ import annotations
-
 import pytest
 
 from prc_cli.formats.names import angle_rules, usual_names
@@ -20,7 +18,7 @@ from prc_cli.formats.names import angle_rules, usual_names
         ("range theta phi", "theta", None),
     ],
 )
-def test_the_vertical_direction_is_the_angle(names: str, angle: str, down: str | None) -> None:
+def test_the_vertical_direction_is_the_angle(names, angle, down):
     words = names.split(";") if ";" in names else names.split()
     assert usual_names(words)["angle"].name == angle
     assert [rule.value for rule in angle_rules(angle)] == ([] if down is None else [down])

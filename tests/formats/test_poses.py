@@ -3,8 +3,6 @@
 TUM files and the poses of bags give the ranges that CSV positions give.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +64,7 @@ def odometry(
     return sent
 
 
-def test_every_form_gives_the_positions_of_a_csv(tmp_path: Path) -> None:
+def test_every_form_gives_the_positions_of_a_csv(tmp_path):
     rows = poses()
     arm = (0.5, -0.2, 1.5)
     moved = rows[:, 1:4] + Rotation.from_quat(rows[:, 4:]).apply(arm)
@@ -82,7 +80,7 @@ def test_every_form_gives_the_positions_of_a_csv(tmp_path: Path) -> None:
         np.testing.assert_allclose(track.positions(times), expected, atol=2e-5)
 
 
-def test_what_is_no_pose_is_refused(tmp_path: Path) -> None:
+def test_what_is_no_pose_is_refused(tmp_path):
     rows = poses()
     path = tum(tmp_path / "a.tum", rows)
     for text, expected in (
@@ -121,11 +119,11 @@ def test_what_is_no_pose_is_refused(tmp_path: Path) -> None:
     ],
 )
 def test_clocks_that_differ_are_named(
-    tmp_path: Path,
-    ahead: float,
-    offset: int,
-    name: str,
-) -> None:
+    tmp_path,
+    ahead,
+    offset,
+    name,
+):
     rows = poses()
     rows[:, 0] = np.linspace(1_700_000_000, 1_700_000_010, len(rows))
     track = load_trajectory(tum(tmp_path / "a.tum", rows), **HEAD)  # type: ignore[arg-type]

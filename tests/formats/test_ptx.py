@@ -1,7 +1,5 @@
 """PTX and echo pulse files."""
 
-from __future__ import annotations
-
 import tracemalloc
 from pathlib import Path
 from typing import Any
@@ -70,7 +68,7 @@ def equal(a: Any, b: Array) -> bool:
     return np.array_equal(a, b, equal_nan=True)
 
 
-def test_columns_are_lines_and_zeros_are_missing(tmp_path: Path) -> None:
+def test_columns_are_lines_and_zeros_are_missing(tmp_path):
     points = grid_points(9, 7)
     stream = open_input(Input.of(write_text(tmp_path / "a.PTX", ptx_scan(points))), AUTO)
     (block,) = scans_of(stream)
@@ -104,7 +102,7 @@ SCAN = ptx_scan(grid_points(8, 6))
         (" 0.5000\n", " 5.000e-1\n"),
     ],
 )
-def test_how_the_text_is_written_changes_nothing(tmp_path: Path, old: str, new: str) -> None:
+def test_how_the_text_is_written_changes_nothing(tmp_path, old, new):
     text = (SCAN + SCAN).replace(old, new)
     (scan, _) = scans_of(PtxStream(write_text(tmp_path / "a.ptx", SCAN + SCAN), AUTO))
     blocks = scans_of(PtxStream(write_text(tmp_path / "b.ptx", text), AUTO))
@@ -114,7 +112,7 @@ def test_how_the_text_is_written_changes_nothing(tmp_path: Path, old: str, new: 
         assert equal(block.intensity, np.asarray(scan.intensity))
 
 
-def test_a_last_column_cut_short_is_padded_if_told(tmp_path: Path) -> None:
+def test_a_last_column_cut_short_is_padded_if_told(tmp_path):
     points = grid_points(4, 5, missing=0)
     text = ptx_header(4, 5) + ptx_rows(points.reshape(-1, 4)[:18])
     path = write_text(tmp_path / "a.ptx", text)
@@ -189,15 +187,13 @@ GOOD = ptx_scan(grid_points(4, 5, missing=0))
         "header alone": (ptx_header(4, 5), ("line 11", "found 0 numbers")),
     }.values(),
 )
-def test_a_file_that_lies_is_refused_in_one_line(
-    tmp_path: Path, text: str, parts: tuple[str, ...]
-) -> None:
+def test_a_file_that_lies_is_refused_in_one_line(tmp_path, text, parts):
     message = refused(write_text(tmp_path / "a.ptx", text))
     for part in parts:
         assert part in message
 
 
-def test_a_window_of_lines_is_taken_from_every_scan(tmp_path: Path) -> None:
+def test_a_window_of_lines_is_taken_from_every_scan(tmp_path):
     text = 2 * ptx_scan(grid_points(9, 7)) + ptx_scan(grid_points(5, 7))
     path = write_text(tmp_path / "a.ptx", text)
     blocks = open_input(Input.of(path), InputConfig(only_lines="4:6")).blocks()
@@ -205,7 +201,7 @@ def test_a_window_of_lines_is_taken_from_every_scan(tmp_path: Path) -> None:
     assert taken == [(0, 4, 2), (1, 4, 2), (2, 4, 1)]
 
 
-def test_a_file_that_shrinks_while_it_is_read_is_an_error(tmp_path: Path) -> None:
+def test_a_file_that_shrinks_while_it_is_read_is_an_error(tmp_path):
     path = write_text(tmp_path / "a.ptx", GOOD)
     stream = PtxStream(path, AUTO)
     path.write_bytes(path.read_bytes()[:500])
@@ -215,9 +211,7 @@ def test_a_file_that_shrinks_while_it_is_read_is_an_error(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ptx", "e57", "e57 row by row"])
-def test_memory_does_not_grow_with_the_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
-) -> None:
+def test_memory_does_not_grow_with_the_file(tmp_path, monkeypatch, kind):
     monkeypatch.setattr("prc_cli.formats.organised.scans.CHUNK_SHOTS", 2048)
     monkeypatch.setattr(e57_read, "CHUNK_POINTS", 1024)
     monkeypatch.setattr(ptx, "BLOCK_BYTES", 1 << 15)
@@ -241,9 +235,7 @@ def test_memory_does_not_grow_with_the_file(
 ECHOES = "echo-float32-range.bin"
 
 
-def test_a_shot_without_return_that_meets_another_is_no_return(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_shot_without_return_that_meets_another_is_no_return(capsys, tmp_path):
     path = pulse_folder(tmp_path / "p")
     angles = path.with_name("pulse-float32-theta.bin")
     theta = np.fromfile(angles, "<f4")
@@ -258,7 +250,7 @@ def test_a_shot_without_return_that_meets_another_is_no_return(
 
 
 @pytest.mark.data
-def test_the_standing_car(real_data: Path) -> None:
+def test_the_standing_car(real_data):
     folder = real_data / "echopulse"
     path = folder / "pulse-uint8-n_echo.bin"
     stream = open_input(Input.of(path), AUTO)

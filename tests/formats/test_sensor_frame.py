@@ -1,9 +1,7 @@
 """The frame of a spinning scanner, from its rings."""
 
-from __future__ import annotations
-
 from prc_cli.core.frame import SensorFrame
 
 
-def test_frames_are_shown() -> None:
+def test_frames_are_shown():
     assert SensorFrame(apex_m=(1.0, 0.0, 0.5)).shown() == "the scanner is at 1.00, 0.00, 0.50"

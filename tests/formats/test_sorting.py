@@ -1,9 +1,6 @@
 """Records sorted by time."""
 
-from __future__ import annotations
-
 import tempfile
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,11 +19,11 @@ from tests.streams.record_lists import MemorySource
     merge=st.integers(1, 30),
 )
 def test_equals_a_stable_argsort_for_any_run_and_merge_size(
-    times: list[int],
-    chunk: int,
-    run: int,
-    merge: int,
-) -> None:
+    times,
+    chunk,
+    run,
+    merge,
+):
     time_s = np.array(times, np.float64)
     source = MemorySource({"time": time_s, "point": np.arange(len(times), dtype=np.uint16)}, chunk)
     parts = list(sorted_by_time(source, run_records=run, merge_records=merge).chunks(("point",)))
@@ -42,7 +39,7 @@ def test_equals_a_stable_argsort_for_any_run_and_merge_size(
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_time_that_is_no_number_is_named(bad: float) -> None:
+def test_a_time_that_is_no_number_is_named(bad):
     source = MemorySource({"time": np.array([1.0] * 9 + [bad])}, chunk_records=4)
     with pytest.raises(
         InputError, match=rf"drive.bin: record 9 has time {bad}, expected a finite time to sort by"
@@ -50,7 +47,7 @@ def test_a_time_that_is_no_number_is_named(bad: float) -> None:
         list(sorted_by_time(source).chunks(("time",)))
 
 
-def test_a_full_temporary_disk_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_temporary_disk_is_one_line(monkeypatch):
     class FullDisk:
         def write(self, data: object) -> int:
             raise OSError(28, "No space left on device")
@@ -66,7 +63,7 @@ def test_a_full_temporary_disk_is_one_line(monkeypatch: pytest.MonkeyPatch) -> N
         list(sorted_by_time(source, run_records=10).chunks(("time",)))
 
 
-def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_left_behind(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     chunks = sorted_by_time(MemorySource({"time": np.arange(100.0)[::-1]}), run_records=10).chunks(
         ("time",)
@@ -76,5 +73,5 @@ def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_no_records_are_sorted() -> None:
+def test_no_records_are_sorted():
     assert list(sorted_by_time(MemorySource({"time": np.empty(0)})).chunks(("time",))) == []

@@ -1,7 +1,5 @@
 """``[output] stages``: what a method without intermediate results adds to an output."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +16,7 @@ NO_ROOM = "a .npy output holds class codes only; stages need .csv, .parquet, .la
 
 
 @pytest.mark.parametrize("suffix", [".laz", ".csv", ".parquet", ".npy"])
-def test_a_method_without_stages_adds_nothing(tmp_path: Path, suffix: str) -> None:
+def test_a_method_without_stages_adds_nothing(tmp_path, suffix):
     """The output is that of a run without the option, but for a notice in the run's record."""
     blocks = record_blocks(random_labels(300))
     asked = tmp_path / f"asked{suffix}"

@@ -3,8 +3,6 @@
 Feet become metres, degrees are refused where ranges come from x, y, z.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -40,14 +38,14 @@ BOUND = f'BOUNDCRS[SOURCECRS[{NEW}],TARGETCRS[GEOGCRS["WGS 84",ANGLEUNIT["degree
         ("EPSG:4326", np.nan, 1.0),
     ],
 )
-def test_units_of_systems(crs: str, xy_m: float, z_m: float) -> None:
+def test_units_of_systems(crs, xy_m, z_m):
     units = units_of_system(crs)
     assert units is not None
     np.testing.assert_allclose([units.xy_m, units.z_m], [xy_m, z_m], rtol=1e-9)
 
 
 @pytest.mark.parametrize("crs", [None, "", "EPSG:0", "nonsense", 'LOCAL_CS["none"]'])
-def test_unknown_systems_tell_nothing(crs: str | None) -> None:
+def test_unknown_systems_tell_nothing(crs):
     assert units_of_system(crs) is None
 
 
@@ -73,9 +71,7 @@ def source_of(xyz: F64, crs: str | None) -> MemorySource:
         (1e-3, METRE, False),
     ],
 )
-def test_degrees_are_refused_with_the_reason(
-    scale: float, crs: str | None, is_refused: bool
-) -> None:
+def test_degrees_are_refused_with_the_reason(scale, crs, is_refused):
     source = source_of(points(scale), crs)
     assert looks_geographic(points(scale)) == (scale < 1)
     if not is_refused:
@@ -85,7 +81,7 @@ def test_degrees_are_refused_with_the_reason(
         refuse_degrees(source)
 
 
-def test_feet_become_metres_and_are_told() -> None:
+def test_feet_become_metres_and_are_told():
     xyz = points(30.0)
     source = in_metres(source_of(xyz, FOOT))
     chunk = next(iter(source.chunks(("z", "x"))))

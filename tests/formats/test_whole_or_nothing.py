@@ -1,12 +1,9 @@
 """Outputs appear complete or not at all: early checks, aborts, full disks."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +32,7 @@ def source_for(folder: Path, kind: str, n: int = 300) -> Path:
 
 
 @pytest.fixture
-def out(tmp_path: Path) -> Path:
+def out(tmp_path):
     folder = tmp_path / "out"
     folder.mkdir()
     return folder
@@ -45,8 +42,8 @@ def out(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("is_interrupted", [False, True])
 def test_leaving_without_finish_leaves_nothing_and_keeps_the_old_output(
-    tmp_path: Path, out: Path, kind: str, suffix: str, is_interrupted: bool
-) -> None:
+    tmp_path, out, kind, suffix, is_interrupted
+):
     source = source_for(tmp_path, kind)
     old = out / f"old{suffix}"
     old.write_bytes(b"old")
@@ -71,13 +68,13 @@ def test_leaving_without_finish_leaves_nothing_and_keeps_the_old_output(
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 @pytest.mark.parametrize("n_writes", [0, 1])
 def test_a_write_that_fails_leaves_nothing(
-    tmp_path: Path,
-    out: Path,
-    kind: str,
-    suffix: str,
-    n_writes: int,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    tmp_path,
+    out,
+    kind,
+    suffix,
+    n_writes,
+    monkeypatch,
+):
     source = source_for(tmp_path, kind)
     real = Target.write
     number = iter(range(1000))
@@ -95,7 +92,7 @@ def test_a_write_that_fails_leaves_nothing(
 
 
 @pytest.fixture
-def tiny_disk(tmp_path: Path) -> Iterator[Path]:
+def tiny_disk(tmp_path):
     """A disk of 64 kB."""
     if sys.platform != "linux" or os.geteuid() != 0:
         pytest.skip("mounting a tiny disk needs Linux and root")
@@ -115,12 +112,12 @@ def tiny_disk(tmp_path: Path) -> Iterator[Path]:
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("n", [48_000, 130_000])
 def test_full_disk(
-    tmp_path: Path,
-    tiny_disk: Path,
-    kind: str,
-    suffix: str,
-    n: int,
-) -> None:
+    tmp_path,
+    tiny_disk,
+    kind,
+    suffix,
+    n,
+):
     """48 000 labels fit their spool but no output does; 130 000 do not even fit the spool."""
     source = source_for(tmp_path, kind, n)
     path = tiny_disk / f"a{suffix}"
@@ -134,7 +131,7 @@ def test_full_disk(
 
 
 @pytest.mark.parametrize("late", ["a.npy", "a.npy.prc.json"])
-def test_a_file_that_appears_while_labels_are_written_stays(tmp_path: Path, late: str) -> None:
+def test_a_file_that_appears_while_labels_are_written_stays(tmp_path, late):
     with (
         pytest.raises(OutputExistsError, match="appeared"),
         writer(tmp_path / "a.npy", Path("in.bin")) as opened,
@@ -147,7 +144,7 @@ def test_a_file_that_appears_while_labels_are_written_stays(tmp_path: Path, late
 
 
 @pytest.mark.parametrize("name", ["a.npy", "a.npy.prc.json"])
-def test_what_is_there_is_noticed_before_the_run(tmp_path: Path, name: str) -> None:
+def test_what_is_there_is_noticed_before_the_run(tmp_path, name):
     (tmp_path / name).write_bytes(b"theirs")
     with pytest.raises(OutputExistsError):
         prepare_label_outputs(tmp_path / "a.npy", overwrite=False)

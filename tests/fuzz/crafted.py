@@ -1,7 +1,5 @@
 """Files that are made to end a process, or to keep it for ever."""
 
-from __future__ import annotations
-
 from importlib.metadata import version
 from pathlib import Path
 

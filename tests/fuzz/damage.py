@@ -1,7 +1,5 @@
 """Ways to damage a file as a strategy of hypothesis, which finds the least damage that fails."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import re

@@ -3,8 +3,6 @@
 Execute, load pickles, use the network, write elsewhere.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

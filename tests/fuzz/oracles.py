@@ -1,7 +1,5 @@
 """What an output must be like, said by other programs and by the library in memory."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

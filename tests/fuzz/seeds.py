@@ -1,7 +1,5 @@
 """Small valid files of every format that the program reads, made by code."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import json

@@ -4,8 +4,6 @@ The server is a process that loads everything once. For each job, a line of JSON
 a child that runs the command in the program's own functions and judges it.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import resource

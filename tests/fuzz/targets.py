@@ -1,7 +1,5 @@
 """The commands to try on damaged files, by format."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,8 +1,6 @@
 """Regression tests for faults found by campaigns and by hand, each with the smallest file that
 shows it."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -54,7 +52,7 @@ def run(capfd: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int,
         ("#" * (MAX_TOML_BYTES + 1), "is longer than 1048576 bytes"),
     ],
 )
-def test_toml_that_its_parser_cannot_take(tmp_path: Path, text: str, message: str) -> None:
+def test_toml_that_its_parser_cannot_take(tmp_path, text, message):
     path = put(tmp_path / "a.toml", text)
     start = time.process_time()
     with pytest.raises(ConfigError, match=message):
@@ -72,9 +70,7 @@ NAMES = [
 
 
 @pytest.mark.parametrize("name", NAMES, ids=ascii)
-def test_names_of_files_command_no_terminal(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str
-) -> None:
+def test_names_of_files_command_no_terminal(tmp_path, capfd, name):
     source = put(tmp_path / f"{name}.npz", seed("a.npz"))
     labels = tmp_path / f"{name}.npy"
     config = put(tmp_path / f"{name}.toml", "preset = 'prc-2019-urban'\n")
@@ -103,9 +99,7 @@ def zeroed(content: bytes, number: int, n_zeros: int = 64) -> bytes:
 
 
 @pytest.mark.parametrize(("name", "command"), [("pf7.laz", "classify"), ("copc7.laz", "transfer")])
-def test_damaged_laz_does_not_come_out_damaged(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str, command: str
-) -> None:
+def test_damaged_laz_does_not_come_out_damaged(tmp_path, capfd, name, command):
     """Layers that no classifier needs were copied undecoded.
 
     Laspy refused a quarter of the outputs. ``transfer`` decoded only the layers of the classes.
@@ -154,9 +148,7 @@ NUMBERS = (
         ),
     ],
 )
-def test_a_journal_with_numbers_without_end(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], statement: str
-) -> None:
+def test_a_journal_with_numbers_without_end(tmp_path, capfd, statement):
     """Infinity is no integer: a traceback."""
     (tmp_path / ".prc").mkdir()
     journal = put(tmp_path / ".prc" / "journal.sqlite", seed("state/.prc/journal.sqlite"))
@@ -170,9 +162,7 @@ def test_a_journal_with_numbers_without_end(
 
 
 @pytest.mark.parametrize("word", ["p\ud800", "--quiet=1e9"])
-def test_a_command_of_a_last_run_that_is_none(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], word: str
-) -> None:
+def test_a_command_of_a_last_run_that_is_none(tmp_path, capfd, word):
     (tmp_path / ".prc").mkdir()
     put(tmp_path / ".prc" / "journal.sqlite", seed("state/.prc/journal.sqlite"))
     table = {"schema": 2, "folder": "/", "arguments": [word]}

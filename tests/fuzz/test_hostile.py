@@ -3,14 +3,11 @@
 More examples: ``HYPOTHESIS_EXAMPLES=600 python -m pytest -m slow tests/fuzz/test_hostile.py``.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import struct
 import sys
 import zipfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +39,7 @@ EXAMPLES = int(os.environ.get("HYPOTHESIS_EXAMPLES", "4"))
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Server, Path]]:
+def server(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fuzz")
     write_seeds(folder / "seeds")
     server = Server(folder)
@@ -53,9 +50,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Server, P
 @pytest.mark.parametrize("name", TARGETS)
 @settings(max_examples=EXAMPLES, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
-def test_damaged_files_are_refused_or_read(
-    server: tuple[Server, Path], name: str, data: st.DataObject
-) -> None:
+def test_damaged_files_are_refused_or_read(server, name, data):
     target = TARGETS[name]
     chosen = data.draw(st.sampled_from(target.names))
     command = data.draw(st.sampled_from(target.commands))
@@ -65,7 +60,7 @@ def test_damaged_files_are_refused_or_read(
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_the_first_command_takes_the_seed(server: tuple[Server, Path], name: str) -> None:
+def test_the_first_command_takes_the_seed(server, name):
     """Else every case would be refused for a reason that is not its damage."""
     target = TARGETS[name]
     case = lay(server[1], target, target.names[0], seed(target.names[0]))
@@ -92,9 +87,7 @@ def test_the_first_command_takes_the_seed(server: tuple[Server, Path], name: str
         ("overflowing.laz", "convert {case} {out}/o.las", None),
     ],
 )
-def test_a_file_that_showed_a_fault_is_refused_or_read(
-    server: tuple[Server, Path], name: str, command: str, code: int | None
-) -> None:
+def test_a_file_that_showed_a_fault_is_refused_or_read(server, name, command, code):
     answer = server[0].run(command, KEPT / name)
     assert not answer["faults"]
     assert code is None or answer["code"] == code, answer["printed"]
@@ -113,7 +106,7 @@ ATTACKS = (
 
 
 @pytest.mark.parametrize("text", ATTACKS)
-def test_the_guard_sees(tmp_path: Path, text: str) -> None:
+def test_the_guard_sees(tmp_path, text):
     """In a process of its own: a hook can never be removed."""
     program = f"""
 import os, socket, subprocess, pickle, collections, sys
@@ -147,7 +140,7 @@ class Evil:
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".npz"])
-def test_a_pickle_is_never_loaded(tmp_path: Path, suffix: str) -> None:
+def test_a_pickle_is_never_loaded(tmp_path, suffix):
     victim = tmp_path / "victim"
     array = np.array([[Evil(str(victim))] * 24] * 14, dtype=object)
     path = tmp_path / f"a{suffix}"
@@ -165,7 +158,7 @@ def test_a_pickle_is_never_loaded(tmp_path: Path, suffix: str) -> None:
     assert victim.exists(), "the attack itself is not one"
 
 
-def test_names_inside_an_archive_are_no_paths(tmp_path: Path) -> None:
+def test_names_inside_an_archive_are_no_paths(tmp_path):
     out = io.BytesIO()
     array = io.BytesIO()
     np.save(array, np.ones((14, 24), np.float32))
@@ -182,7 +175,7 @@ def test_names_inside_an_archive_are_no_paths(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "name", [name for name in SEEDS if f".{name.split('.', 1)[1]}" in by_suffix("codes")]
 )
-def test_every_cut_is_refused_or_read(tmp_path: Path, name: str) -> None:
+def test_every_cut_is_refused_or_read(tmp_path, name):
     """At every power of two, around every structure of a LAS file, and one byte early."""
     data = seed(name)
     edges = {
@@ -210,7 +203,7 @@ def test_every_cut_is_refused_or_read(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
-def test_every_cut_recording_is_refused_or_read(tmp_path: Path, name: str) -> None:
+def test_every_cut_recording_is_refused_or_read(tmp_path, name):
     """Up to the cut, and it says so, or it is refused."""
     data = seed(name)
     path = tmp_path / f"a{suffix_of_seed(name)}"
@@ -236,7 +229,7 @@ def test_every_cut_recording_is_refused_or_read(tmp_path: Path, name: str) -> No
 
 
 @given(st.text())
-def test_what_is_unprintable(text: str) -> None:
+def test_what_is_unprintable(text):
     from prc_cli.core.errors import printable, printable_lines
 
     assert not unprintable(printable(text))
@@ -244,7 +237,7 @@ def test_what_is_unprintable(text: str) -> None:
     assert "\n" not in printable(text)
 
 
-def test_other_things_than_files_are_refused(tmp_path: Path) -> None:
+def test_other_things_than_files_are_refused(tmp_path):
     for name in ("/dev/zero", str(tmp_path)):
         link = tmp_path / "a.las"
         link.unlink(missing_ok=True)

@@ -3,8 +3,6 @@
 Commands are separated by `` . ``. ``STEPS`` lists those that start with ``@``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Inputs of the golden cases, from one seed, without using the package."""
 
-from __future__ import annotations
-
 import struct
 import uuid
 from pathlib import Path

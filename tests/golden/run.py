@@ -3,8 +3,6 @@
 Run the cases in a few processes and compare with ``golden.json``.
 """
 
-from __future__ import annotations
-
 import argparse
 import difflib
 import hashlib

@@ -1,7 +1,5 @@
 """All golden cases, in two halves so that two workers share them; three long ones apart."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Collection
 
@@ -27,18 +25,18 @@ def check(names: Collection[str]) -> int:
 
 
 @pytest.mark.parametrize("read", [True, False])
-def test_all_cases_are_as_they_were(*, read: bool) -> None:
+def test_all_cases_are_as_they_were(*, read):
     cases = all_cases()
     is_chosen = lambda name: SCANS.isdisjoint(needed(cases, [name])) is not read  # noqa: E731
     assert check([name for name in cases if name not in LONG and is_chosen(name)]) > 100
 
 
 @pytest.mark.slow
-def test_long_cases_are_as_they_were() -> None:
+def test_long_cases_are_as_they_were():
     assert check(LONG) == len(LONG)
 
 
-def test_no_case_is_a_mistake_of_its_own() -> None:
+def test_no_case_is_a_mistake_of_its_own():
     """Python in a case may be refused by prc, but it must not break."""
     broken = ("AttributeError", "ImportError", "NameError", "TypeError", "FileNotFoundError")
     assert [
@@ -46,7 +44,7 @@ def test_no_case_is_a_mistake_of_its_own() -> None:
     ] == []
 
 
-def test_one_bit_is_seen() -> None:
+def test_one_bit_is_seen():
     case = KEPT["classify-channels"]
     altered = {**case, "files": {**case["files"], "o.laz": "0" * 64}}
     assert differences(KEPT, {"classify-channels": altered}) != []

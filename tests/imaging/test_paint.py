@@ -1,7 +1,5 @@
 """Labels by hand in both pages: painted in a browser, saved, loaded, evaluated."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -28,7 +26,7 @@ READY = {
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, U8]:
+def drive(tmp_path_factory):
     """A drive, its true labels as a file, and their codes."""
     folder = tmp_path_factory.mktemp("drive")
     block, labels = drive_arrays(160, 200, 5)
@@ -101,9 +99,7 @@ def load(browser: Browser, path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["viewer", "check"])
-def test_labels_are_painted_saved_loaded_and_evaluated(
-    kind: str, drive: tuple[Path, Path, U8], tmp_path: Path
-) -> None:
+def test_labels_are_painted_saved_loaded_and_evaluated(kind, drive, tmp_path):
     """By mouse, keys and touch; undone, done again, erased, kept when the page is closed."""
     page = written(kind, drive, tmp_path / "page.html")
     canvas, ready = READY[kind]
@@ -182,14 +178,12 @@ def test_labels_are_painted_saved_loaded_and_evaluated(
         ("record,class", None),
     ],
 )
-def test_the_first_line_says_what_was_labelled(
-    head: str, n_records: int | None, tmp_path: Path
-) -> None:
+def test_the_first_line_says_what_was_labelled(head, n_records, tmp_path):
     (tmp_path / "a.csv").write_text(f"{head}\nrecord,class,class_name\n3,2,ground\n")
     assert labelled_records(tmp_path / "a.csv") == n_records
 
 
-def test_labels_of_another_file_are_refused(tmp_path: Path) -> None:
+def test_labels_of_another_file_are_refused(tmp_path):
     np.save(tmp_path / "labels.npy", np.array([2, 2, 6, 6], np.uint8))
     text = "# labels by hand: a.npy, {} records\nrecord,class,class_name\n1,2,ground\n3,2,ground\n"
     (tmp_path / "right.csv").write_text(text.format(4))

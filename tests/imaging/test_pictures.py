@@ -3,8 +3,6 @@
 Points in perspective and from above; the page of ``prc render IN OUT.html``.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json
@@ -17,7 +15,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.errors import InputError
-from prc_cli.core.types import F64, U8
+from prc_cli.core.types import F64
 from prc_cli.imaging.cloud import NARROWEST, DepthBuffer, FromAbove, Perspective, Sample
 from prc_cli.imaging.page import HandLabels, PaintedClass
 from prc_cli.imaging.pictures import segment_picture, value_bar
@@ -25,7 +23,7 @@ from prc_cli.imaging.sheet import Axis, Panel, draw_panel, draw_sheet
 from prc_cli.imaging.viewer import ClassEntry, Shots, Values, viewer_page
 
 
-def test_segments_differ_are_stable_and_none_is_black() -> None:
+def test_segments_differ_are_stable_and_none_is_black():
     ids = np.arange(0, 500).reshape(1, -1)
     picture = segment_picture(ids)
     assert picture[0, 0].tolist() == [0, 0, 0]
@@ -43,7 +41,7 @@ def test_segments_differ_are_stable_and_none_is_black() -> None:
         (np.zeros((0, 4, 3), np.uint8), "grey: found uint8 of shape"),
     ],
 )
-def test_what_is_no_picture(picture: U8, expected: str) -> None:
+def test_what_is_no_picture(picture, expected):
     with pytest.raises(InputError, match=expected):
         draw_panel(Panel("grey", picture, Axis("", 0, 1), Axis("", 0, 1)))
     with pytest.raises(InputError, match="pictures: found none, expected at least one"):
@@ -54,7 +52,7 @@ def box(n: int = 4000, seed: int = 1) -> F64:
     return np.random.default_rng(seed).uniform((-10, -5, 0), (10, 5, 4), (n, 3))
 
 
-def test_a_sample_is_bounded_even_and_does_not_depend_on_the_chunks() -> None:
+def test_a_sample_is_bounded_even_and_does_not_depend_on_the_chunks():
     rows = np.arange(10_000.0)[:, None]
     whole = Sample(1, most=100)
     parts = Sample(1, most=100)
@@ -69,7 +67,7 @@ def test_a_sample_is_bounded_even_and_does_not_depend_on_the_chunks() -> None:
 
 
 @pytest.mark.parametrize(("azimuth", "elevation"), [(0, 30), (215, -20), (-30, 89), (90, 90)])
-def test_the_perspective_holds_the_points_upright(azimuth: float, elevation: float) -> None:
+def test_the_perspective_holds_the_points_upright(azimuth, elevation):
     points = box()
     view = Perspective.around(points, azimuth, elevation, 700, 500)
     right, down, depth = view.project(points)
@@ -92,7 +90,7 @@ def test_the_perspective_holds_the_points_upright(azimuth: float, elevation: flo
         assert (bearing - azimuth + 180) % 360 - 180 == pytest.approx(0, abs=1.0)
 
 
-def test_the_nearest_point_wins_whatever_the_order() -> None:
+def test_the_nearest_point_wins_whatever_the_order():
     view = FromAbove(0.0, 10.0, 20.0, 1.0, (10, 10))
     points = np.array([[4.5, 4.5, z] for z in (1.0, 9.0, 3.0)])
     colours = np.array([[10, 0, 0], [0, 20, 0], [0, 0, 30]], np.uint8)
@@ -108,7 +106,7 @@ def test_the_nearest_point_wins_whatever_the_order() -> None:
 
 
 @pytest.mark.parametrize("along", [0, 1])
-def test_a_row_of_points_from_above_has_room_beside_it(along: int) -> None:
+def test_a_row_of_points_from_above_has_room_beside_it(along):
     """A picture of a straight drive is not one pixel wide."""
     points = np.zeros((100, 3))
     points[:, along] = np.linspace(0, 100, 100)
@@ -179,7 +177,7 @@ def page_of(scan: Shots) -> str:
     )
 
 
-def test_the_data_of_the_page_are_the_shots() -> None:
+def test_the_data_of_the_page_are_the_shots():
     scan = shots()
     about, planes = decoded(page_of(scan))
     assert np.array_equal(np.nan_to_num(planes["class"]), scan.classes)
@@ -202,7 +200,7 @@ def test_the_data_of_the_page_are_the_shots() -> None:
     assert len(about["ramp"]) == 256
 
 
-def test_the_page_is_escaped_and_runs_nothing_but_its_own_script() -> None:
+def test_the_page_is_escaped_and_runs_nothing_but_its_own_script():
     page = page_of(shots())
     assert "<i>" not in page
     assert "<b>" not in page
@@ -221,7 +219,7 @@ def test_the_page_is_escaped_and_runs_nothing_but_its_own_script() -> None:
     assert page == page_of(shots())
 
 
-def test_a_scan_without_returns_is_a_page_all_the_same() -> None:
+def test_a_scan_without_returns_is_a_page_all_the_same():
     nothing = np.full((2, 3), np.nan)
     scan = Shots(
         np.zeros((2, 3), np.uint8),
@@ -247,6 +245,6 @@ def unpack(text: str, n_bytes: int) -> Any:
     return np.cumsum(steps) % 256**n_bytes
 
 
-def test_a_bar_has_three_to_seven_even_values() -> None:
+def test_a_bar_has_three_to_seven_even_values():
     for limits, labels in (((0.0, 60.0), "0 10 20 30 40 50 60"), ((0.0, 0.7), "0 0.2 0.4 0.6")):
         assert [label for _, label in value_bar(limits, "m").ticks] == labels.split()

@@ -1,10 +1,7 @@
 """Curves against the classifier, and estimates for a known scanner."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,7 +36,7 @@ def count(image: F32, params: PrcParams, lines: int) -> Curves:
 
 
 @pytest.mark.parametrize("rounding", ["ceil", "floor"])
-def test_curves_are_what_the_classifier_supports_at_every_threshold(rounding: Any) -> None:
+def test_curves_are_what_the_classifier_supports_at_every_threshold(rounding):
     image = street()[:40]
     params = PrcParams(support=SupportParams(zeta_s=0.7, zeta_p=0.25, rounding=rounding))
     curves = count(image, params, 7)
@@ -59,7 +56,7 @@ def test_curves_are_what_the_classifier_supports_at_every_threshold(rounding: An
     )
 
 
-def test_background_curve_is_what_the_classifier_marks() -> None:
+def test_background_curve_is_what_the_classifier_marks():
     image = street()[:30]
     curves = count(image, PrcParams(), 11)
     window = stream_window(np.full(window_reach(POINTS_PER_LINE), np.nan, np.float32), image, None)
@@ -101,7 +98,7 @@ def measured(image: F32, **known: Any) -> SensorEstimate:
 @pytest.mark.parametrize(
     ("sigma_m", "per_m"), [(0.002, 0.0), (0.008, 0.0), (0.004, 0.001), (0.02, 0.001)]
 )
-def test_noise_is_found_without_knowing_angles_or_slopes(sigma_m: float, per_m: float) -> None:
+def test_noise_is_found_without_knowing_angles_or_slopes(sigma_m, per_m):
     estimate = measured(corridor(sigma_m, per_m))
     for range_m in (2.5, 6.5, 15.0):
         assert estimate.noise_at(range_m) == pytest.approx(
@@ -109,7 +106,7 @@ def test_noise_is_found_without_knowing_angles_or_slopes(sigma_m: float, per_m: 
         )
 
 
-def test_unusable_streams_are_refused(tmp_path: Path) -> None:
+def test_unusable_streams_are_refused(tmp_path):
     one_line = write_npz(tmp_path / "one.npz", street()[:1])
     with pytest.raises(InputError, match="1 scan lines, expected 3 or more"):
         calibrate(one_line)
@@ -157,9 +154,7 @@ def advised(
 
 @pytest.mark.parametrize(("environment", "share"), [("urban", 0.95), ("forest", 0.5)])
 @pytest.mark.parametrize("name", ["zeta_s", "zeta_p"])
-def test_thresholds_stay_where_they_support_a_share_of_the_plateau(
-    environment: str, share: float, name: str
-) -> None:
+def test_thresholds_stay_where_they_support_a_share_of_the_plateau(environment, share, name):
     key = f"prc.support.{name}"
     assert advised(low=share + 0.01, environment=environment)[key].value == 0.1
     raised = advised(low=share - 0.01, environment=environment)[key]
@@ -183,16 +178,14 @@ def test_thresholds_stay_where_they_support_a_share_of_the_plateau(
         ({"step_rad": 0.04, "rounding_m": 0.1}, 0.8, "the three shots of eq. 9 span 0.8 m"),
     ],
 )
-def test_the_length_is_the_largest_that_is_asked_for(
-    known: dict[str, float], value: float, reason: str
-) -> None:
+def test_the_length_is_the_largest_that_is_asked_for(known, value, reason):
     advice = advised(replace(SENSOR, **known))["prc.background.d_c"]  # type: ignore[arg-type]
     assert advice.value == pytest.approx(value)
     assert advice.reason.startswith(reason)
     assert "; marks 1.0% of the returns" in advice.reason
 
 
-def test_notes_say_why_a_method_is_calibrated_and_curves_lie_in_the_figure(tmp_path: Path) -> None:
+def test_notes_say_why_a_method_is_calibrated_and_curves_lie_in_the_figure(tmp_path):
     path = write_npz(tmp_path / "a.npz", street())
     fused = calibrate(path)
     assert fused.advice == ()
@@ -218,9 +211,7 @@ def test_notes_say_why_a_method_is_calibrated_and_curves_lie_in_the_figure(tmp_p
 @pytest.mark.parametrize(
     ("range_m", "fitted"), [([], (None, None)), ([7.0], (0.05, 0.0)), ([3, 9.0], (0.004, 0.003))]
 )
-def test_noise_is_fitted_to_flat_stretches(
-    range_m: list[float], fitted: tuple[float | None, float | None]
-) -> None:
+def test_noise_is_fitted_to_flat_stretches(range_m, fitted):
     constant, growing = fitted
     bins = [
         NoiseBin(middle_m, float(np.hypot(constant or 0.0, (growing or 0.0) * middle_m)), 40, True)

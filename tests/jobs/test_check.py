@@ -1,7 +1,5 @@
 """``prc check``: what is drawn, what the page contains, and that a browser answers on it."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -10,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prc_cli.config import LoadedConfig, load_config
+from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock, cut
@@ -31,7 +29,7 @@ M = 300
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, U8]:
+def drive(tmp_path_factory):
     """A drive, a label file with one shot of ten wrong, and its true labels."""
     folder = tmp_path_factory.mktemp("drive")
     block, labels = drive_arrays(N_LINES, M, 5)
@@ -47,7 +45,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, U8]:
 
 
 @pytest.fixture
-def config() -> LoadedConfig:
+def config():
     return load_config()
 
 
@@ -77,14 +75,14 @@ def some_labels(shape: tuple[int, int] = (200, 90)) -> U8:
     return random.choice(kinds, shape, p=[0.3, 0.5, 0.19, 0.01]).astype(np.uint8)
 
 
-def test_the_sample_does_not_depend_on_the_blocks() -> None:
+def test_the_sample_does_not_depend_on_the_blocks():
     labels = some_labels()
     whole = drawn_from(labels, [0])
     assert drawn_from(labels, [0, 1, 7, 150]) == whole
     assert drawn_from(labels, [0], seed=1) != whole
 
 
-def test_strata_count_every_shot_and_places_have_their_class() -> None:
+def test_strata_count_every_shot_and_places_have_their_class():
     labels = some_labels()
     drawn = drawn_from(labels, [0, 50])
     counts = {stratum.predicted: stratum.n_shots for stratum in drawn.strata}
@@ -97,18 +95,18 @@ def test_strata_count_every_shot_and_places_have_their_class() -> None:
         assert place.record == place.line * labels.shape[1] + place.column
 
 
-def test_a_larger_sample_contains_the_smaller_one() -> None:
+def test_a_larger_sample_contains_the_smaller_one():
     labels = some_labels()
     small = {place[:3] for place in drawn_from(labels, [0], n=40).places}
     assert small <= {place[:3] for place in drawn_from(labels, [0], n=120).places}
 
 
-def test_every_beginning_of_the_sample_has_all_strata() -> None:
+def test_every_beginning_of_the_sample_has_all_strata():
     drawn = drawn_from(some_labels(), [0], n=90)
     assert {place.stratum for place in drawn.places[:12]} == {0, 1, 2}
 
 
-def test_every_shot_of_a_stratum_has_the_same_chance() -> None:
+def test_every_shot_of_a_stratum_has_the_same_chance():
     labels = np.full((10, 10), Label.GROUND, np.uint8)
     drawn: I64 = np.zeros(labels.shape, np.int64)
     for seed in range(400):
@@ -119,7 +117,7 @@ def test_every_shot_of_a_stratum_has_the_same_chance() -> None:
     assert ((drawn - 40.0) ** 2 / 36.0).sum() < 160
 
 
-def test_confidence_divides_the_classes() -> None:
+def test_confidence_divides_the_classes():
     labels = some_labels()
     sure = np.where(np.arange(labels.size) % 5 == 0, SURE - 1, SURE).astype(np.uint8)
     drawn = drawn_from(labels, [0], sure=sure)
@@ -132,9 +130,7 @@ def test_confidence_divides_the_classes() -> None:
         assert (sure[place.record] >= SURE) == (drawn.strata[place.stratum].low == SURE)
 
 
-def test_the_page_has_every_place_and_nothing_else(
-    drive: tuple[Path, Path, U8], config: LoadedConfig, tmp_path: Path
-) -> None:
+def test_the_page_has_every_place_and_nothing_else(drive, config, tmp_path):
     page = tmp_path / "check.html"
     result = check(drive[0], page, config, CheckOptions(shots=50, labels=drive[1]))
     text = page.read_text(encoding="utf-8")
@@ -149,7 +145,7 @@ def test_the_page_has_every_place_and_nothing_else(
         assert place["points"] > 1_000
 
 
-def test_the_scanner_turns_with_the_points_of_its_line() -> None:
+def test_the_scanner_turns_with_the_points_of_its_line():
     sensor = np.array([[1, 0, 0], [0, 2, 0], [3, 0, 1]], np.float32)
     a_quarter = sensor[:, [1, 0, 2]] * (-1, 1, 1)
     placed = np.add(a_quarter, (100, 50, 0)).astype(np.float32)
@@ -157,9 +153,7 @@ def test_the_scanner_turns_with_the_points_of_its_line() -> None:
     np.testing.assert_allclose(turned, (0, 2, 1), atol=1e-9)
 
 
-def test_an_input_without_classes_is_refused(
-    drive: tuple[Path, Path, U8], config: LoadedConfig, tmp_path: Path
-) -> None:
+def test_an_input_without_classes_is_refused(drive, config, tmp_path):
     with pytest.raises(InputError, match=r"has no classes to check.*--labels"):
         check(drive[0], tmp_path / "check.html", config)
     assert not (tmp_path / "check.html").exists()
@@ -175,9 +169,7 @@ def answered(page: Path, labels: U8, target: Path) -> Path:
     return target
 
 
-def test_true_answers_give_scores_near_the_truth(
-    drive: tuple[Path, Path, U8], config: LoadedConfig, tmp_path: Path
-) -> None:
+def test_true_answers_give_scores_near_the_truth(drive, config, tmp_path):
     page = tmp_path / "check.html"
     check(drive[0], page, config, CheckOptions(shots=150, labels=drive[1]))
     answers = answered(page, drive[2], tmp_path / "a.json")
@@ -197,9 +189,7 @@ def press(browser: Browser, key: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_browser_answers_by_keys_saves_and_loads(
-    drive: tuple[Path, Path, U8], config: LoadedConfig, tmp_path: Path
-) -> None:
+def test_a_browser_answers_by_keys_saves_and_loads(drive, config, tmp_path):
     """Answered by keys, undone, kept when the page is closed, saved, loaded, evaluated."""
     page = tmp_path / "check.html"
     check(drive[0], page, config, CheckOptions(shots=20, labels=drive[1]))

@@ -1,10 +1,7 @@
 """The choice of a method leaves no reader open but the one of the blocks that come next."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -43,7 +40,7 @@ class ThreadedStream:
 
 
 @pytest.mark.parametrize("fails", [False, True])
-def test_threads_of_readers_end_with_the_choice(tmp_path: Path, fails: bool) -> None:
+def test_threads_of_readers_end_with_the_choice(tmp_path, fails):
     path = tmp_path / "street.npz"
     np.savez(path, range_m=street_lines(30)[0], angle_deg=np.rad2deg(BEAM))
     config = load_config().config

@@ -1,8 +1,6 @@
 """Classifying one file: the same labels for every format and by either engine, no files left after
 failures."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys
@@ -31,7 +29,7 @@ WITH_M = {"input": {"points_per_line": POINTS_PER_LINE}}
 
 
 @pytest.mark.parametrize("change", ["longer", "edited in place"])
-def test_an_input_that_changes_while_it_is_read_is_refused(tmp_path: Path, change: str) -> None:
+def test_an_input_that_changes_while_it_is_read_is_refused(tmp_path, change):
     """Also where its size stays and its time was put back."""
     if change == "edited in place" and os.name == "nt":
         pytest.skip("a file has no time of its last change there")
@@ -48,7 +46,7 @@ def test_an_input_that_changes_while_it_is_read_is_refused(tmp_path: Path, chang
     assert os.listdir(tmp_path) == ["drive.bin"]
 
 
-def test_an_image_in_memory_is_judged_as_a_file_is() -> None:
+def test_an_image_in_memory_is_judged_as_a_file_is():
     image = street()
     shuffled = np.random.default_rng(3).permuted(image, axis=1)
     with pytest.raises(EvidenceError, match="range_m: ranges of neighbouring shots"):
@@ -72,7 +70,7 @@ def test_an_image_in_memory_is_judged_as_a_file_is() -> None:
 
 
 @pytest.mark.parametrize("only_records", [False, True])
-def test_counts_of_two_streams_add_up(only_records: bool) -> None:
+def test_counts_of_two_streams_add_up(only_records):
     rng = np.random.default_rng(2)
     record = rng.integers(-1, 2, (9, 7))
     record[:2] = -1
@@ -94,7 +92,7 @@ def test_counts_of_two_streams_add_up(only_records: bool) -> None:
     assert both.labels.tolist()[:4] == [0, n_extra, n_shots, 0]
 
 
-def test_what_is_unusual_about_a_file_is_told_and_recorded(tmp_path: Path) -> None:
+def test_what_is_unusual_about_a_file_is_told_and_recorded(tmp_path):
     """A header that promises too few points: the rest is not read, and that is said."""
     source = write_npz(tmp_path / "drive.npz", street())
     built = tmp_path / "drive.las"
@@ -141,7 +139,7 @@ def by_both(source: Path, suffix: str, *options: str) -> tuple[Path, Path]:
     return outputs[0], outputs[1]
 
 
-def test_the_record_names_the_reference_alone(tmp_path: Path) -> None:
+def test_the_record_names_the_reference_alone(tmp_path):
     source = write_npz(tmp_path / "drive.npz", piece())
     compiled, plain = (
         json.loads(record_path(path).read_text())
@@ -153,7 +151,7 @@ def test_the_record_names_the_reference_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_without_numba_the_reference_classifies(tmp_path: Path) -> None:
+def test_without_numba_the_reference_classifies(tmp_path):
     made = {"npz": write_npz(tmp_path / "drive.npz", piece()), "laz": tmp_path / "drive.laz"}
     assert prc("convert", made["npz"], made["laz"], "-q") == 0
     commands = [

@@ -1,8 +1,6 @@
 """Round trips: a stream written in another format and read back is the same stream, as far as the
 format holds it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +42,7 @@ def same_bits(left: Any, right: Any) -> bool:
 
 
 @pytest.fixture
-def drive(tmp_path: Path) -> Path:
+def drive(tmp_path):
     """One scanner, everything that a range image can hold."""
     image = street()
     rng = np.random.default_rng(5)
@@ -65,9 +63,7 @@ def drive(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("suffix", CELLS)
-def test_a_format_of_cells_gives_the_same_blocks_back(
-    drive: Path, tmp_path: Path, suffix: str
-) -> None:
+def test_a_format_of_cells_gives_the_same_blocks_back(drive, tmp_path, suffix):
     out = tmp_path / f"out{suffix}"
     convert(drive, out)
     (before,) = scans(drive, config()).values()
@@ -124,7 +120,7 @@ def two_scanners(path: Path) -> Path:
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".laz"])
-def test_scanners_missing_lines_and_further_returns(tmp_path: Path, suffix: str) -> None:
+def test_scanners_missing_lines_and_further_returns(tmp_path, suffix):
     source = two_scanners(tmp_path / "two.las")
     out = tmp_path / f"out{suffix}"
     loaded = config(scanner="point_source_id")
@@ -160,7 +156,7 @@ def _several(tmp_path: Path) -> tuple[Path, LoadedConfig]:
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".npy", ".bin"])
-def test_several_scanners_need_a_format_that_tells_them_apart(tmp_path: Path, suffix: str) -> None:
+def test_several_scanners_need_a_format_that_tells_them_apart(tmp_path, suffix):
     source, loaded = _several(tmp_path)
     with pytest.raises(
         OutputError, match="found scanners 3 and 8, expected one: .* write .csv, .laz or .parquet"

@@ -3,8 +3,6 @@
 Labels as of the joined file, an output for every file.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import laspy
@@ -51,7 +49,7 @@ def cut_laz(tmp_path: Path, gap_s: float = 0.0) -> tuple[Path, list[Path]]:
     return whole, parts
 
 
-def test_classes_of_parts_are_those_of_the_joined_laz(tmp_path: Path) -> None:
+def test_classes_of_parts_are_those_of_the_joined_laz(tmp_path):
     whole, parts = cut_laz(tmp_path)
     classify(whole, tmp_path / "whole.laz", URBAN)
     expected = np.asarray(laspy.read(tmp_path / "whole.laz").classification)
@@ -66,7 +64,7 @@ def test_classes_of_parts_are_those_of_the_joined_laz(tmp_path: Path) -> None:
     assert len(np.unique(expected)) >= 4
 
 
-def test_a_gap_of_time_begins_a_stream_of_its_own(tmp_path: Path) -> None:
+def test_a_gap_of_time_begins_a_stream_of_its_own(tmp_path):
     _, parts = cut_laz(tmp_path, gap_s=7.0)
     summaries = list(classify_drive(parts, tmp_path / "out", URBAN))
     apart = (
@@ -79,7 +77,7 @@ def test_a_gap_of_time_begins_a_stream_of_its_own(tmp_path: Path) -> None:
     assert np.array_equal(np.asarray(laspy.read(summaries[2].output).classification), alone)
 
 
-def test_what_is_refused(tmp_path: Path) -> None:
+def test_what_is_refused(tmp_path):
     _, parts = cut_raw(tmp_path)
     image = write_npz(tmp_path / "image.npz", street())
     with pytest.raises(InputError, match="image.npz: contains whole scans"):

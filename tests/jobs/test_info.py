@@ -1,8 +1,5 @@
 """What ``prc info`` finds beyond the header."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -31,7 +28,7 @@ def upright(n_lines: int = 5, m: int = 40) -> np.ndarray:
     return np.concatenate([xyz, np.full((n_lines, m, 1), 0.5)], axis=-1)
 
 
-def test_a_later_scan_that_is_refused_is_the_verdict(tmp_path: Path) -> None:
+def test_a_later_scan_that_is_refused_is_the_verdict(tmp_path):
     """A stream of scans is read to its end, as any of them may have no vertical direction."""
     sound = upright(30, 40)
     level = upright(40, 40).transpose(1, 0, 2)
@@ -43,7 +40,7 @@ def test_a_later_scan_that_is_refused_is_the_verdict(tmp_path: Path) -> None:
     assert bad.facts is not None
 
 
-def test_rates_are_measured_after_sorting(tmp_path: Path) -> None:
+def test_rates_are_measured_after_sorting(tmp_path):
     """'--sort-by-time', and then 'no steady rates'."""
     time_s, _, column = drive(50.0, 300, 60)
     height = 2 + np.sin(column / 30)
@@ -70,9 +67,7 @@ def test_rates_are_measured_after_sorting(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("input_options", [{}, {"range": "origin:0,0,0", "points_per_line": 10}])
-def test_a_tile_without_times_has_lost_its_order(
-    tmp_path: Path, input_options: dict[str, Any]
-) -> None:
+def test_a_tile_without_times_has_lost_its_order(tmp_path, input_options):
     """It was told to give M and a place of the scanner, and then labelled."""
     np.savetxt(
         tmp_path / "tile.csv",
@@ -91,8 +86,8 @@ def test_a_tile_without_times_has_lost_its_order(
 
 
 def test_counts_are_those_of_all_blocks_and_the_median_that_of_the_first_shots(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     monkeypatch.setattr(info, "SAMPLE_SHOTS", 100)
     image = np.random.default_rng(1).uniform(1, 9, (30, 7)).astype(np.float32)
     image[::2, 2] = np.nan

@@ -3,8 +3,6 @@
 Pages: their shots, and that a browser shows them.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -30,18 +28,18 @@ from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz
 
 
 @pytest.fixture(scope="module")
-def urban() -> LoadedConfig:
+def urban():
     return load_config(preset="prc-2019-urban")
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def drive(tmp_path_factory):
     path = tmp_path_factory.mktemp("drive") / "drive.npz"
     return write_npz(path, street())
 
 
 @pytest.fixture(scope="module")
-def static(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def static(tmp_path_factory):
     """A static scan and its reference."""
     folder = tmp_path_factory.mktemp("static")
     block, labels = static_arrays(1.0, 4.0, 1)
@@ -71,9 +69,7 @@ def labels_of(source: Path, config: LoadedConfig) -> U8:
     )
 
 
-def test_returns_that_are_not_scored_are_not_drawn_as_missing(
-    drive: Path, urban: LoadedConfig, tmp_path: Path
-) -> None:
+def test_returns_that_are_not_scored_are_not_drawn_as_missing(drive, urban, tmp_path):
     labels = labels_of(drive, urban)
     seen = labels != Label.MISSING
     codes = np.full(labels.shape, 1200)  # ground of oakland
@@ -100,7 +96,7 @@ def test_returns_that_are_not_scored_are_not_drawn_as_missing(
     assert not any("%" in text for text, _ in difference.key if not text.startswith("no return"))
 
 
-def test_the_headline_names_the_scanner_of_several(tmp_path: Path) -> None:
+def test_the_headline_names_the_scanner_of_several(tmp_path):
     source = two_scanners(tmp_path / "two.las")
     read = config(preset="prc-2019-urban", scanner="point_source_id")
     for number, station in enumerate((None, 8)):
@@ -126,12 +122,12 @@ def test_the_headline_names_the_scanner_of_several(tmp_path: Path) -> None:
     ],
 )
 def test_options_that_contradict(
-    drive: Path,
-    tmp_path: Path,
-    preset: str,
-    options: dict[str, object],
-    expected: str,
-) -> None:
+    drive,
+    tmp_path,
+    preset,
+    options,
+    expected,
+):
     with pytest.raises(ConfigError, match=expected):
         render(drive, tmp_path / "a.png", load_config(preset=preset), RenderOptions(**options))  # type: ignore[arg-type]
     assert not list(tmp_path.iterdir())
@@ -141,12 +137,12 @@ def test_options_that_contradict(
 @pytest.mark.parametrize("side", ["labels", "reference"])
 @pytest.mark.parametrize("suffix", ["npz", "csv"])
 def test_labels_of_another_length(
-    urban: LoadedConfig,
-    tmp_path: Path,
-    n: int,
-    side: str,
-    suffix: str,
-) -> None:
+    urban,
+    tmp_path,
+    n,
+    side,
+    suffix,
+):
     source = tmp_path / f"drive.{suffix}"
     (write_npz if suffix == "npz" else write_csv)(source, street())
     np.save(tmp_path / "labels.npy", np.full(n, 2, np.uint8))
@@ -158,7 +154,7 @@ def test_labels_of_another_length(
     assert not (tmp_path / "a.png").exists()
 
 
-def test_cells_without_a_record_have_no_class() -> None:
+def test_cells_without_a_record_have_no_class():
     classes = RecordClasses("labels.npy", np.array([3, 4, 5], np.uint8))
     assert classes.look_up(np.array([[0, -1], [2, 1]])).tolist() == [[3, 0], [5, 4]]
     with pytest.raises(InputError, match="found 3 labels, but the input has record 3"):
@@ -169,7 +165,7 @@ def read(path: Path) -> str:
     return path.read_text(encoding="utf-8")
 
 
-def test_classes_and_ranges_of_a_drive(tmp_path: Path) -> None:
+def test_classes_and_ranges_of_a_drive(tmp_path):
     source = write_npz(tmp_path / "drive.npz", street())
     config = load_config(preset="prc-2019-urban")
     result = render_viewer(source, tmp_path / "a.html", config)
@@ -197,9 +193,7 @@ def test_classes_and_ranges_of_a_drive(tmp_path: Path) -> None:
     )
 
 
-def test_a_static_scan_is_where_it_was_measured_and_stages_are_shown(
-    static: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_a_static_scan_is_where_it_was_measured_and_stages_are_shown(static, tmp_path):
     config = load_config(preset="street-scan")
     render_viewer(static[0], tmp_path / "a.html", config, RenderOptions())
     about, planes = decoded(read(tmp_path / "a.html"))
@@ -224,7 +218,7 @@ def test_a_static_scan_is_where_it_was_measured_and_stages_are_shown(
     assert np.array_equal(again["surface"], planes["surface"], equal_nan=True)
 
 
-def test_poses_place_the_shots_of_a_leaning_scanner(tmp_path: Path) -> None:
+def test_poses_place_the_shots_of_a_leaning_scanner(tmp_path):
     """As the demo draws its drive: planes that lean, drawn upright, would shear the facades."""
     settings = load_settings("street", options={"lines": 8})
     drive, truth, path, codes = (

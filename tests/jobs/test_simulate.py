@@ -1,8 +1,6 @@
 """Simulated scans as files: every format gives back stream and reference, for any number of
 threads."""
 
-from __future__ import annotations
-
 import tracemalloc
 from pathlib import Path
 from typing import Any
@@ -51,14 +49,12 @@ def same(left: Any, right: Any) -> bool:
 
 
 @pytest.fixture(scope="module")
-def drive() -> tuple[ScanBlock, Any]:
+def drive():
     return whole(list(open_simulation("street", small("street"), threads=1).scan.labelled_blocks()))
 
 
 @pytest.mark.parametrize("lines", [1, 7, 64, 1000])
-def test_neither_blocks_nor_threads_change_anything(
-    drive: tuple[ScanBlock, Any], lines: int
-) -> None:
+def test_neither_blocks_nor_threads_change_anything(drive, lines):
     scan = open_simulation("street", small("street"), threads=2).scan
     items = list(scan.labelled_blocks(lines))
     assert max(item.block.n_lines for item in items) == min(lines, 64)
@@ -77,11 +73,11 @@ def test_neither_blocks_nor_threads_change_anything(
 )
 @pytest.mark.parametrize("track", [None, "drive.sbet", "drive.csv"])
 def test_a_frame_that_is_none_is_refused_by_the_name_of_its_file(
-    tmp_path: Path,
-    track: str | None,
-    crs: str,
-    said: str,
-) -> None:
+    tmp_path,
+    track,
+    crs,
+    said,
+):
     pytest.importorskip("pyproj")
     beside = Beside(trajectory=tmp_path / track if track else None)
     with pytest.raises(ConfigError, match=said) as error:
@@ -93,7 +89,7 @@ def test_a_frame_that_is_none_is_refused_by_the_name_of_its_file(
 
 
 @pytest.mark.slow
-def test_memory_does_not_grow_with_the_length(tmp_path: Path) -> None:
+def test_memory_does_not_grow_with_the_length(tmp_path):
     def peak(lines: int) -> int:
         settings = small("street", lines=lines, trajectory={"stop_every_m": 0.0, "speed_m_s": 1.0})
         tracemalloc.start()
@@ -135,7 +131,7 @@ def test_memory_does_not_grow_with_the_length(tmp_path: Path) -> None:
         ("meadow", {}, "found 'meadow', expected one of: street, forest, street-scan"),
     ],
 )
-def test_wrong_parameters_are_named(kind: Any, options: dict[str, Any], said: str) -> None:
+def test_wrong_parameters_are_named(kind, options, said):
     with pytest.raises(ConfigError, match=said):
         load_settings(kind, options=options)
 
@@ -169,12 +165,12 @@ def test_wrong_parameters_are_named(kind: Any, options: dict[str, Any], said: st
     ],
 )
 def test_what_cannot_be_written_is_refused_first(
-    tmp_path: Path,
-    kind: Kind,
-    output: str,
-    beside: dict[str, str],
-    said: str,
-) -> None:
+    tmp_path,
+    kind,
+    output,
+    beside,
+    said,
+):
     names = Beside(**{key: tmp_path / name for key, name in beside.items()})
     with pytest.raises(ConfigError, match=said):
         simulate(kind, tmp_path / output, small(kind), beside=names)
@@ -182,9 +178,7 @@ def test_what_cannot_be_written_is_refused_first(
 
 
 @pytest.mark.parametrize("crs", ["", "EPSG:32635"])
-def test_a_simulated_cloud_carries_the_coordinate_system_that_it_announces(
-    tmp_path: Path, crs: str
-) -> None:
+def test_a_simulated_cloud_carries_the_coordinate_system_that_it_announces(tmp_path, crs):
     words = ["simulate", "street", str(tmp_path / "drive.laz"), "--lines", "2"]
     result = runner().invoke(cli, [*words, *(["--set", f"frame.crs={crs}"] if crs else [])])
     assert result.exit_code == 0

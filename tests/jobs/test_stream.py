@@ -1,11 +1,8 @@
 """Live streams: doubts, narrow pipes, progress."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -57,7 +54,7 @@ def live_stream(source: Endless, accepted: tuple[str, ...] = ()) -> Stream:
     return watched_live(source, begin, LiveFindings("stdin", accepted, [].append))
 
 
-def test_a_stream_without_an_end_is_refused_while_it_goes_on() -> None:
+def test_a_stream_without_an_end_is_refused_while_it_goes_on():
     bad = shuffled(street())
     live = live_stream(Endless(bad, bad))
     with pytest.raises(EvidenceError, match="stdin: ranges of neighbouring shots"):
@@ -65,7 +62,7 @@ def test_a_stream_without_an_end_is_refused_while_it_goes_on() -> None:
             pass
 
 
-def test_what_goes_wrong_later_is_found_as_the_stream_grows() -> None:
+def test_what_goes_wrong_later_is_found_as_the_stream_grows():
     good = street(7000)
     far = np.full((500, POINTS_PER_LINE), 40_000.0, np.float32)
     others = tuple(name for name in CHECK_NAMES if name != "ranges")
@@ -77,14 +74,14 @@ def test_what_goes_wrong_later_is_found_as_the_stream_grows() -> None:
     assert n_lines > len(good)
 
 
-def test_labels_have_left_when_the_input_is_refused_at_its_end() -> None:
+def test_labels_have_left_when_the_input_is_refused_at_its_end():
     sink = io.BytesIO()
     with pytest.raises(EvidenceError):
         stream(io.BytesIO(shuffled(street()).tobytes()), sink, URBAN)
     assert len(sink.getvalue()) == street().size
 
 
-def test_an_end_inside_a_record_loses_no_label_and_is_no_reason_for_a_method() -> None:
+def test_an_end_inside_a_record_loses_no_label_and_is_no_reason_for_a_method():
     choices = list[MethodChoice]()
     whole = io.BytesIO()
     cut = io.BytesIO()
@@ -98,7 +95,7 @@ def test_an_end_inside_a_record_loses_no_label_and_is_no_reason_for_a_method() -
     assert cut.getvalue() == whole.getvalue()
 
 
-def test_doubts_are_told_once_and_kept() -> None:
+def test_doubts_are_told_once_and_kept():
     thin = np.full((137, 18_000), np.nan, np.float32)
     thin[:, :POINTS_PER_LINE] = street()
     doubts: list[Finding] = []
@@ -113,7 +110,7 @@ def test_doubts_are_told_once_and_kept() -> None:
     assert [doubt.check for doubt in doubts] == ["returns"]
 
 
-def test_labels_are_checked_as_they_leave() -> None:
+def test_labels_are_checked_as_they_leave():
     stray = street(1100)
     stray[:, ::2] = np.random.default_rng(1).uniform(
         1, 80, stray[:, ::2].shape
@@ -162,7 +159,7 @@ class SlowSink:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_every_way_gives_the_same_bytes(tmp_path: Path, seed: int) -> None:
+def test_every_way_gives_the_same_bytes(tmp_path, seed):
     rng = np.random.default_rng(seed)
     width = int(rng.choice([1, 2, 3, 4, 9, 40]))
     k = int(rng.choice([1, 2, 3, 8]))

@@ -1,7 +1,5 @@
 """Thinned streams: dropped shots become missing, others stay unchanged, and all are counted."""
 
-from __future__ import annotations
-
 import json
 from fractions import Fraction
 from pathlib import Path
@@ -23,14 +21,14 @@ from tests.street import angles, street
 
 
 @pytest.fixture
-def drive(tmp_path: Path) -> Path:
+def drive(tmp_path):
     path = tmp_path / "drive.npz"
     np.savez(path, range_m=street(), angle_deg=np.rad2deg(angles()))
     return path
 
 
 @pytest.fixture
-def labelled(drive: Path, tmp_path: Path) -> Path:
+def labelled(drive, tmp_path):
     """The street as classified LAZ."""
     classify(drive, tmp_path / "drive.laz")
     return tmp_path / "drive.laz"
@@ -62,12 +60,12 @@ QUARTER = parse_rules(["ground=1/4"])
     [(".npz", ".las"), (".npz", ".npy"), (".npz", ".bin"), (".laz", ".csv.gz"), (".laz", ".npz")],
 )
 def test_what_is_dropped_is_missing(
-    drive: Path,
-    labelled: Path,
-    tmp_path: Path,
-    suffix: str,
-    source: str,
-) -> None:
+    drive,
+    labelled,
+    tmp_path,
+    suffix,
+    source,
+):
     out = tmp_path / f"thin{suffix}"
     summary = (
         thin(drive, out, QUARTER, labels=CLASSIFY)
@@ -85,7 +83,7 @@ def test_what_is_dropped_is_missing(
     assert any("(ground=1/4)" in text for text in note)
 
 
-def test_las_keeps_everything_else(labelled: Path, tmp_path: Path) -> None:
+def test_las_keeps_everything_else(labelled, tmp_path):
     summary = thin(labelled, tmp_path / "thin.laz", QUARTER)
     before = laspy.read(labelled)
     after = laspy.read(tmp_path / "thin.laz")
@@ -114,7 +112,7 @@ def test_las_keeps_everything_else(labelled: Path, tmp_path: Path) -> None:
 
 
 @given(st.integers(0, 30), st.integers(1, 30), st.integers(0, 10**6))
-def test_a_share_is_exact_along_every_line(part: int, whole: int, line: int) -> None:
+def test_a_share_is_exact_along_every_line(part, whole, line):
     share = Fraction(min(part, whole), whole)
     columns = np.arange(share.denominator * 5)
     kept = keep_by_pattern(np.full(len(columns), line), columns, share)
@@ -124,7 +122,7 @@ def test_a_share_is_exact_along_every_line(part: int, whole: int, line: int) -> 
 
 
 @given(st.lists(st.floats(0, 100), min_size=1, max_size=60), st.floats(0.1, 20))
-def test_spacing_against_a_plain_loop(places: list[float], spacing: float) -> None:
+def test_spacing_against_a_plain_loop(places, spacing):
     position = np.array(places)[None, :, None]
     chosen = np.ones((1, len(places)), np.bool_)
     wanted = []
@@ -137,7 +135,7 @@ def test_spacing_against_a_plain_loop(places: list[float], spacing: float) -> No
 
 
 @pytest.mark.parametrize("suffix", [".las", ".csv"])
-def test_several_scanners_and_returns(tmp_path: Path, suffix: str) -> None:
+def test_several_scanners_and_returns(tmp_path, suffix):
     source = two_scanners(tmp_path / "two.las")
     loaded = config(scanner="point_source_id")
     rules = parse_rules(["2=1/3", "5=0"])
@@ -186,15 +184,13 @@ def test_several_scanners_and_returns(tmp_path: Path, suffix: str) -> None:
         ({"keep": ["ground=1/4", "2=1/2"]}, "class code 2 is named twice"),
     ],
 )
-def test_rules_that_make_no_sense(rules: dict[str, list[str]], said: str) -> None:
+def test_rules_that_make_no_sense(rules, said):
     with pytest.raises(ConfigError) as caught:
         parse_rules(**rules)
     assert said in str(caught.value)
 
 
-def test_bad_input_is_one_line_and_leaves_nothing(
-    drive: Path, labelled: Path, tmp_path: Path
-) -> None:
+def test_bad_input_is_one_line_and_leaves_nothing(drive, labelled, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     np.save(tmp_path / "short.npy", np.ones(77, np.uint8))

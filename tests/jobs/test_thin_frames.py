@@ -1,8 +1,6 @@
 """Frames for odometry: folders, clouds and bags without the points of some classes, and all else as
 it was."""
 
-from __future__ import annotations
-
 import json
 import warnings
 from pathlib import Path
@@ -50,7 +48,7 @@ def read(path: Path) -> Any:
     return np.fromfile(path, "<f4").reshape(-1, 4)
 
 
-def test_a_folder_of_frames_keeps_every_frame(tmp_path: Path) -> None:
+def test_a_folder_of_frames_keeps_every_frame(tmp_path):
     source, labels, points = folder_of(tmp_path)
     summary = thin(source, tmp_path / "ground", GROUND, labels=labels)
     assert sorted(path.name for path in (tmp_path / "ground").iterdir()) == [
@@ -76,7 +74,7 @@ def test_a_folder_of_frames_keeps_every_frame(tmp_path: Path) -> None:
     assert not (tmp_path / "numbered" / "000002.bin").stat().st_size
 
 
-def test_points_that_share_a_cell_keep_their_intensities(tmp_path: Path) -> None:
+def test_points_that_share_a_cell_keep_their_intensities(tmp_path):
     points = frame(tmp_path / "f.bin")
     twice = np.repeat(points, 1 + (np.arange(len(points)) % 40 == 7), axis=0)
     twice[:, 3] = np.arange(1, len(twice) + 1)
@@ -87,7 +85,7 @@ def test_points_that_share_a_cell_keep_their_intensities(tmp_path: Path) -> None
     np.testing.assert_array_equal(read(tmp_path / "thin.bin"), twice[codes == 2])
 
 
-def test_folders_that_cannot_be_thinned_leave_nothing(tmp_path: Path) -> None:
+def test_folders_that_cannot_be_thinned_leave_nothing(tmp_path):
     source, labels, _ = folder_of(tmp_path)
     out = tmp_path / "out"
     out.mkdir()
@@ -115,7 +113,7 @@ def test_folders_that_cannot_be_thinned_leave_nothing(tmp_path: Path) -> None:
     assert not list(out.iterdir())
 
 
-def test_without_classes_a_frame_is_classified_on_the_way(tmp_path: Path) -> None:
+def test_without_classes_a_frame_is_classified_on_the_way(tmp_path):
     points = frame(tmp_path / "f.bin")
     summary = thin(tmp_path / "f.bin", tmp_path / "thin.bin", config=DOUBTED)
     assert any(
@@ -129,7 +127,7 @@ def test_without_classes_a_frame_is_classified_on_the_way(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".pcd"])
-def test_points_of_frames_keep_their_times_and_rings(tmp_path: Path, suffix: str) -> None:
+def test_points_of_frames_keep_their_times_and_rings(tmp_path, suffix):
     points = frame(tmp_path / "f.bin")
     xyz = points[:, :3]
     elevation_deg = np.rad2deg(np.arcsin(xyz[:, 2] / np.linalg.norm(xyz, axis=1)))
@@ -152,7 +150,7 @@ def test_points_of_frames_keep_their_times_and_rings(tmp_path: Path, suffix: str
 
 
 @pytest.mark.parametrize("suffix", WRITE)
-def test_a_bag_loses_points_and_nothing_else(tmp_path: Path, suffix: str) -> None:
+def test_a_bag_loses_points_and_nothing_else(tmp_path, suffix):
     source = recorded(tmp_path, "clouds", suffix)
     (tmp_path / "out").mkdir()
     out = tmp_path / "out" / f"thin{suffix}"
@@ -207,7 +205,7 @@ def read_points(path: Path, message: Any) -> Any:
     return np.frombuffer(bytes(cloud.data), np.dtype(point))
 
 
-def test_laser_scans_of_a_bag_keep_their_shots(tmp_path: Path) -> None:
+def test_laser_scans_of_a_bag_keep_their_shots(tmp_path):
     source = recorded(tmp_path, "lasers", ".bag")
     with pytest.raises(OutputError, match="laser scans have a place for every shot"):
         thin(source, tmp_path / "thin.bag", GROUND)

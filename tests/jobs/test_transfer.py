@@ -3,8 +3,6 @@
 Correct classes, all else unchanged, errors.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -114,7 +112,7 @@ def codes_of(path: Path) -> NDArray[np.uint8]:
 
 
 @pytest.fixture
-def drive() -> Drive:
+def drive():
     return Drive()
 
 
@@ -132,7 +130,7 @@ def run(
     )
 
 
-def test_points_whose_labels_are_not_sure_keep_their_class(drive: Drive, tmp_path: Path) -> None:
+def test_points_whose_labels_are_not_sure_keep_their_class(drive, tmp_path):
     record = drive.registered()
     confidence = RNG(4).integers(0, 101, N).astype(np.uint8)
     source = (tmp_path / "labels.las", drive, np.arange(N))
@@ -148,7 +146,7 @@ def test_points_whose_labels_are_not_sure_keep_their_class(drive: Drive, tmp_pat
     assert summary.counts.n_changed == np.count_nonzero(sure)
 
 
-def test_points_without_partner_keep_their_class(drive: Drive, tmp_path: Path) -> None:
+def test_points_without_partner_keep_their_class(drive, tmp_path):
     record = drive.registered()
     half = Drive()
     raw = write_raw(tmp_path / "drive.csv", half)
@@ -168,7 +166,7 @@ def test_points_without_partner_keep_their_class(drive: Drive, tmp_path: Path) -
 # --- keys
 
 
-def test_seconds_of_week_against_adjusted_standard_time(drive: Drive, tmp_path: Path) -> None:
+def test_seconds_of_week_against_adjusted_standard_time(drive, tmp_path):
     offset = 2300 * 604_800.0 - 1e9
     record = drive.registered()
     raw = write_raw(tmp_path / "drive.csv", drive)
@@ -187,9 +185,7 @@ def test_seconds_of_week_against_adjusted_standard_time(drive: Drive, tmp_path: 
     assert np.array_equal(codes_of(tmp_path / "out.las"), drive.codes[record])
 
 
-def test_labels_without_returns_give_every_return_of_a_shot_its_class(
-    drive: Drive, tmp_path: Path
-) -> None:
+def test_labels_without_returns_give_every_return_of_a_shot_its_class(drive, tmp_path):
     first = drive.returns == 1
     shots = Drive()
     shots.time = drive.time[first]
@@ -205,7 +201,7 @@ def test_labels_without_returns_give_every_return_of_a_shot_its_class(
     assert "have the key of another point" in " ".join(summary.record.notices)
 
 
-def test_scanners_that_share_times_are_kept_apart(tmp_path: Path) -> None:
+def test_scanners_that_share_times_are_kept_apart(tmp_path):
     drive = Drive()
     both = Drive()
     both.time = np.concatenate([drive.time, drive.time])
@@ -231,7 +227,7 @@ def test_scanners_that_share_times_are_kept_apart(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("by", ["record:raw_index", "dimension:raw_index"])
-def test_by_record_index_and_by_dimension(drive: Drive, tmp_path: Path, by: str) -> None:
+def test_by_record_index_and_by_dimension(drive, tmp_path, by):
     record = drive.registered()
     index = (record + (0 if by.startswith("record") else 10**12)).astype(np.int64)
     registered = write_las(tmp_path / "registered.las", drive, record, form=0, raw_index=index)
@@ -276,7 +272,7 @@ def refused(
     assert sorted(folder.iterdir()) == before
 
 
-def test_no_time_on_either_side(drive: Drive, tmp_path: Path) -> None:
+def test_no_time_on_either_side(drive, tmp_path):
     labels, raw, registered = bare(tmp_path, drive)
     no_time = write_las(tmp_path / "form0.las", drive, np.arange(N), form=0)
     zero = write_las(tmp_path / "zero.las", drive, np.arange(N), time=np.zeros(N))
@@ -307,7 +303,7 @@ def test_no_time_on_either_side(drive: Drive, tmp_path: Path) -> None:
 # --- a real street
 
 
-def test_a_tolerance_of_the_next_label_is_told(drive: Drive, tmp_path: Path) -> None:
+def test_a_tolerance_of_the_next_label_is_told(drive, tmp_path):
     step_s = (drive.time[-1] - drive.time[0]) / (len(drive) - 1)
     for tolerance_s, is_told in ((0.4 * step_s, False), (0.8 * step_s, True)):
         summary = run(tmp_path, drive, drive.registered(), tolerance_s=tolerance_s)
@@ -316,7 +312,7 @@ def test_a_tolerance_of_the_next_label_is_told(drive: Drive, tmp_path: Path) -> 
         (tmp_path / "out.las.prc.json").unlink(missing_ok=True)
 
 
-def test_one_time_for_all_labels_is_no_key(drive: Drive, tmp_path: Path) -> None:
+def test_one_time_for_all_labels_is_no_key(drive, tmp_path):
     drive.time[:] = START_S
     with pytest.raises(InputError, match="expected one a shot"):
         run(tmp_path, drive, drive.registered())

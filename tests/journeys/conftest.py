@@ -3,10 +3,6 @@
 Nothing else uses their seeds.
 """
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import laspy
 import numpy as np
 import pytest
@@ -18,7 +14,7 @@ M = 2154
 
 
 @pytest.fixture(scope="session")
-def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def drives(tmp_path_factory):
     """A street (``drive.npz``, its ranges alone ``drive.bin``), a forest and a static scan, with
     reference classes."""
     shell = Shell(tmp_path_factory.mktemp("drives"))
@@ -41,7 +37,7 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def prc(drives: Path, tmp_path: Path) -> Shell:
+def prc(drives, tmp_path):
     """A folder with the drives, and what is typed there."""
     for path in drives.iterdir():
         if path.is_file():

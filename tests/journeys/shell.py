@@ -3,8 +3,6 @@
 In this process, or the installed one in its own.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

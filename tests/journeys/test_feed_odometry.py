@@ -3,8 +3,6 @@
 a folder of frames is thinned, and two libraries find the way.
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess
@@ -23,7 +21,7 @@ N_FRAMES = 6
 
 
 @pytest.fixture(scope="module")
-def frames(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def frames(tmp_path_factory):
     """A slow drive of a coarse scanner of 16 rings.
 
     Its frames, thinned as the page says, in the folder ``still``.
@@ -58,7 +56,7 @@ def way_m(folder: Path) -> float:
     return float(np.linalg.norm(poses[-1, :, 3] - poses[0, :, 3]))
 
 
-def test_kiss_icp_reads_the_folder_as_it_is(frames: Path, tmp_path: Path) -> None:
+def test_kiss_icp_reads_the_folder_as_it_is(frames, tmp_path):
     program = shutil.which("kiss_icp_pipeline")
     assert program is not None
     done = subprocess.run(
@@ -72,9 +70,7 @@ def test_kiss_icp_reads_the_folder_as_it_is(frames: Path, tmp_path: Path) -> Non
     assert np.linalg.norm(track[-1, :, 3] - track[0, :, 3]) == pytest.approx(way_m(frames), abs=0.8)
 
 
-def test_small_gicp_reads_the_folder_as_it_is(
-    frames: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_small_gicp_reads_the_folder_as_it_is(frames, monkeypatch):
     page = (ROOT / "design" / "feed_odometry.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     monkeypatch.chdir(frames)

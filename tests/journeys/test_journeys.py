@@ -4,8 +4,6 @@ must hold.
 Read this first: it is what ``prc`` is for. Only drives that nothing was tuned to, only commands.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -34,7 +32,7 @@ ALIKE = 0.01
 """F1 that two ways to the same labels may lie apart."""
 
 
-def test_1_an_unknown_laz_is_classified_by_what_info_says(prc: Shell) -> None:
+def test_1_an_unknown_laz_is_classified_by_what_info_says(prc):
     installed = Shell(prc.here, installed=True)
     prc(f"prc simulate street drive.laz -q {STREET}")
     said = installed(installed("prc info drive.laz").command("type"))
@@ -50,7 +48,7 @@ def test_1_an_unknown_laz_is_classified_by_what_info_says(prc: Shell) -> None:
 
 
 @pytest.mark.parametrize("wrong", [3 * M, 100 * M, M // 2, M // 3, M + 1])
-def test_2_a_wrong_number_is_refused_and_the_hint_gives_the_labels(prc: Shell, wrong: int) -> None:
+def test_2_a_wrong_number_is_refused_and_the_hint_gives_the_labels(prc, wrong):
     said = prc(f"prc classify drive.bin labels.npy -M {wrong}", code=1)
     assert not (prc.here / "labels.npy").exists()
     hint = re.search(r"give (-M \d+)", said.err)
@@ -60,7 +58,7 @@ def test_2_a_wrong_number_is_refused_and_the_hint_gives_the_labels(prc: Shell, w
     assert min(f1[name] for name in CLASSES) > 0.85
 
 
-def test_2_a_wrong_unit_too(prc: Shell) -> None:
+def test_2_a_wrong_unit_too(prc):
     with np.load(prc.here / "drive.npz") as drive:
         np.savez(prc.here / "mm.npz", range_m=1000 * drive["range_m"], angle_deg=drive["angle_deg"])
         np.savez(
@@ -76,7 +74,7 @@ def test_2_a_wrong_unit_too(prc: Shell) -> None:
     assert "radians" in prc("prc classify radians.npz more.npy", code=1).err
 
 
-def test_3_calibrate_never_makes_the_labels_worse(prc: Shell) -> None:
+def test_3_calibrate_never_makes_the_labels_worse(prc):
     prc("prc calibrate drive.npz -o calibrated.toml -q")
     prc("prc classify drive.npz plain.npy -q")
     prc("prc classify drive.npz calibrated.npy -q --config calibrated.toml")
@@ -86,7 +84,7 @@ def test_3_calibrate_never_makes_the_labels_worse(prc: Shell) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["laz", "ply", "pcd"])
-def test_4_another_program_finds_a_cloud_with_class_names(prc: Shell, suffix: str) -> None:
+def test_4_another_program_finds_a_cloud_with_class_names(prc, suffix):
     prc(f"prc classify drive.npz cloud.{suffix} -q")
     xyz, codes = points_of(prc.here / f"cloud.{suffix}")
     ranges = np.fromfile(prc.here / "drive.bin", "<f4")
@@ -102,13 +100,13 @@ def test_4_another_program_finds_a_cloud_with_class_names(prc: Shell, suffix: st
 
 
 @pytest.mark.parametrize("suffix", ["laz", "ply"])
-def test_4_registered_coordinates_are_kept(prc: Shell, suffix: str) -> None:
+def test_4_registered_coordinates_are_kept(prc, suffix):
     prc(f"prc classify registered.laz cloud.{suffix} -q --range trajectory:path.csv")
     xyz, _ = points_of(prc.here / f"cloud.{suffix}")
     assert np.allclose(xyz, points_of(prc.here / "registered.laz")[0], rtol=0, atol=0.0006)
 
 
-def test_5_a_night_ends_with_the_state_of_the_archive(prc: Shell) -> None:
+def test_5_a_night_ends_with_the_state_of_the_archive(prc):
     (prc.here / "archive").mkdir()
     for name in "abcd":
         shutil.copy(prc.here / "drive.npz", prc.here / "archive" / f"{name}.npz")
@@ -141,7 +139,7 @@ def test_5_a_night_ends_with_the_state_of_the_archive(prc: Shell) -> None:
     )
 
 
-def test_6_the_tables_of_the_paper_against_car(prc: Shell) -> None:
+def test_6_the_tables_of_the_paper_against_car(prc):
     car = laspy.read(prc.here / "registered.laz")
     car.points = car.points[np.argsort(car.x)]
     car.write(prc.here / "car.laz")
@@ -156,7 +154,7 @@ def test_6_the_tables_of_the_paper_against_car(prc: Shell) -> None:
 
 
 @pytest.mark.data
-def test_7_a_bag_of_two_scanners_to_frames_of_points(prc: Shell, real_data: Path) -> None:
+def test_7_a_bag_of_two_scanners_to_frames_of_points(prc, real_data):
     shutil.copy(real_data / "cartographer/b0_short.bag", prc.here)
     prc(
         "prc thin b0_short.bag frames.ply -q --set input.topic=vertical_laser_2d "
@@ -168,7 +166,7 @@ def test_7_a_bag_of_two_scanners_to_frames_of_points(prc: Shell, real_data: Path
 
 
 @pytest.mark.parametrize("preset", ["", "--preset prc-2019-urban", "--preset prc-2019-forest"])
-def test_8_a_live_stream_has_the_labels_of_the_file(prc: Shell, preset: str) -> None:
+def test_8_a_live_stream_has_the_labels_of_the_file(prc, preset):
     prc(f"prc classify drive.bin labels.npy -q -M {M} {preset}")
     with (prc.here / "drive.bin").open("rb") as drive, (prc.here / "live.bin").open("wb") as live:
         words = [str(COMMAND), *shlex.split(f"stream -q -M {M} {preset}")]
@@ -186,11 +184,11 @@ def test_8_a_live_stream_has_the_labels_of_the_file(prc: Shell, preset: str) -> 
     ],
 )
 def test_9_the_papers_in_plain_numpy_have_the_same_labels(
-    prc: Shell,
-    preset: str,
-    drive: str,
-    lines: int,
-) -> None:
+    prc,
+    preset,
+    drive,
+    lines,
+):
     with np.load(prc.here / f"{drive}.npz") as whole:
         kept = {
             name: array[:lines] if array.ndim > 1 or name == "time_s" else array
@@ -205,7 +203,7 @@ def test_9_the_papers_in_plain_numpy_have_the_same_labels(
     assert np.array_equal(prc.labels("reference.npy"), prc.labels("compiled.npy"))
 
 
-def test_10_what_explain_says_is_what_the_loop_did(prc: Shell) -> None:
+def test_10_what_explain_says_is_what_the_loop_did(prc):
     prc("prc classify drive.npz labels.parquet -q --set output.reason=true")
     table = pq.read_table(prc.here / "labels.parquet")
     labels = table["class"].to_numpy()
@@ -232,12 +230,12 @@ def test_10_what_explain_says_is_what_the_loop_did(prc: Shell) -> None:
     ],
 )
 def test_11_every_preset_labels_what_it_is_for(
-    prc: Shell,
-    drive: str,
-    preset: str,
-    name: str,
-    least: float,
-) -> None:
+    prc,
+    drive,
+    preset,
+    name,
+    least,
+):
     # as published little of the road is ground on this scan: the check ground-below says so
     prc(
         f"prc classify {drive}.npz labels.npy -q --preset {preset}",
@@ -246,7 +244,7 @@ def test_11_every_preset_labels_what_it_is_for(
     assert prc.f1("labels.npy", f"{drive}.npz")[name] > least
 
 
-def test_12_python_and_the_command_line_are_one(prc: Shell) -> None:
+def test_12_python_and_the_command_line_are_one(prc):
     prc("prc classify drive.npz typed.npy -q")
     prc_cli.classify(prc.here / "drive.npz", prc.here / "called.npy")
     assert (prc.here / "typed.npy").read_bytes() == (prc.here / "called.npy").read_bytes()
@@ -255,7 +253,7 @@ def test_12_python_and_the_command_line_are_one(prc: Shell) -> None:
     assert typed["overall"]["accuracy"] == called.n_right / called.n_scored
 
 
-def test_13_a_registered_tile_is_the_stream_that_it_was(prc: Shell) -> None:
+def test_13_a_registered_tile_is_the_stream_that_it_was(prc):
     """Tiles of times and coordinates alone, sorted in space.
 
     Each by what info says, and all of them as one drive.
@@ -282,7 +280,7 @@ def test_13_a_registered_tile_is_the_stream_that_it_was(prc: Shell) -> None:
     assert np.mean(whole == raw) > 0.98
 
 
-def test_14_how_good_it_is_by_hand_by_reference_and_beside_a_car(prc: Shell) -> None:
+def test_14_how_good_it_is_by_hand_by_reference_and_beside_a_car(prc):
     """The commands of docs/how_good.md, on a drive with known classes."""
     page = (Path(__file__).parents[2] / "docs" / "how_good.md").read_text(encoding="utf-8")
     checked, answered, scored, classified, compared, differing = re.findall(

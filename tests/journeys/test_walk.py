@@ -3,12 +3,9 @@
 
 Every command after the first is the one that the program itself said to type."""
 
-from __future__ import annotations
-
 import csv
 import re
 import shutil
-from pathlib import Path
 
 import pytest
 
@@ -18,7 +15,7 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
-def prc(tmp_path: Path) -> Shell:
+def prc(tmp_path):
     return Shell(tmp_path)
 
 
@@ -29,7 +26,7 @@ def check_drawn(prc: Shell, command: str) -> None:
 
 
 @pytest.mark.data
-def test_profiler_ply(prc: Shell, real_data: Path) -> None:
+def test_profiler_ply(prc, real_data):
     shutil.copy(real_data / "riegl/sample_riegl_18_03.ply", prc.here / "drive.ply")
     # fourteen lines are too few to judge
     said = prc(prc("prc info drive.ply").command("type"), code=4)
@@ -37,7 +34,7 @@ def test_profiler_ply(prc: Shell, real_data: Path) -> None:
     check_drawn(prc, said.command("draw it"))
 
 
-def test_text_in_millimetres_with_decimal_commas(prc: Shell) -> None:
+def test_text_in_millimetres_with_decimal_commas(prc):
     prc("prc simulate street truth.csv --lines 48 --seed 3 -q")
     with (prc.here / "truth.csv").open() as truth, (prc.here / "drive.csv").open("w") as drive:
         drive.write("line;column;angle_deg;range_mm;time_s\n")
@@ -55,7 +52,7 @@ def test_text_in_millimetres_with_decimal_commas(prc: Shell) -> None:
 
 
 @pytest.mark.data
-def test_kitti_frame(prc: Shell, real_data: Path) -> None:
+def test_kitti_frame(prc, real_data):
     for suffix in (".bin", ".label"):
         shutil.copy(real_data / f"kitti/000000{suffix}", prc.here)
     said = prc("prc classify 000000.bin labels.npy")

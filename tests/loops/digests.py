@@ -8,8 +8,6 @@ sum of its floats. Sums may differ in their last digits, as sines do between mac
 arguments already differ is left out.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -4,8 +4,6 @@ Scans show what a loop usually gets. The same scans on a grid, with missing and 
 ties and edges; so do other thresholds.
 """
 
-from __future__ import annotations
-
 import zlib
 from collections import defaultdict
 from collections.abc import Callable

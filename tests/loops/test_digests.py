@@ -1,7 +1,5 @@
 """The loops of our own methods give what they gave, and the same as Python."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,13 +8,13 @@ from tests.loops.twins import LOOPS
 
 
 @pytest.mark.parametrize("name", digests.NAMES)
-def test_no_output_changed(name: str) -> None:
+def test_no_output_changed(name):
     assert digests.changes([name]) == [], "if so wanted: python -m tests.loops.digests make"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", digests.NAMES)
-def test_a_loop_gives_the_same_as_python(name: str) -> None:
+def test_a_loop_gives_the_same_as_python(name):
     """Nothing rests on what the compiler makes of types, overflow or the order of sums."""
     loop = LOOPS[name]
     for case in recorded.cases(name)[::4]:
@@ -30,12 +28,12 @@ def test_a_loop_gives_the_same_as_python(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", digests.NAMES)
-def test_cases_show_more_than_one_side(name: str) -> None:
+def test_cases_show_more_than_one_side(name):
     kept = digests.kept()[name]
     assert len({kept.of_outputs(number) for number in range(kept.n_cases)}) > 3
 
 
-def test_every_digest_has_cases() -> None:
+def test_every_digest_has_cases():
     assert sorted(digests.kept()) == digests.NAMES
 
 
@@ -49,9 +47,7 @@ def test_every_digest_has_cases() -> None:
         ("ffff0c", "010203", [1.0, 2.0, 3.0], [0, 1]),  # other cases
     ],
 )
-def test_a_changed_case_is_named(
-    arguments: str, outputs: str, sums: list[float], changed: list[int]
-) -> None:
+def test_a_changed_case_is_named(arguments, outputs, sums, changed):
     before = digests.Digests("0a0b0c", "010203", [1.0, 2.0, 3.0])
     now = digests.Digests(arguments, outputs, sums)
     assert digests.changed_cases(before, now) == changed

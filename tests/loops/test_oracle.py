@@ -3,8 +3,6 @@
 Twins share no code with loops. Loops of our own methods have none: see ``test_digests``.
 """
 
-from __future__ import annotations
-
 import ast
 import inspect
 import sys
@@ -175,7 +173,7 @@ TOLERANCES = {"line_angles": 2e-5, "signed_angles": 2e-5}
 @pytest.mark.parametrize(
     ("seed", "n_cases"), [(20190, LEAST), pytest.param(9, MOST, marks=pytest.mark.long)]
 )
-def test_loop_equals_its_twin(name: str, seed: int, n_cases: int) -> None:
+def test_loop_equals_its_twin(name, seed, n_cases):
     compare_random(name, seed, n_cases)
 
 
@@ -183,7 +181,7 @@ def test_loop_equals_its_twin(name: str, seed: int, n_cases: int) -> None:
 @pytest.mark.parametrize(
     "seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 8))]
 )
-def test_loop_equals_its_twin_in_scans(name: str, seed: int) -> None:
+def test_loop_equals_its_twin_in_scans(name, seed):
     compare_recorded(name, seed)
 
 
@@ -213,7 +211,7 @@ def compare(name: str, case: tuple[Any, ...]) -> Any:
 
 
 @given(zeta=st.floats(0, 1e9), steps=st.integers(-2, 2))
-def test_support_limit_is_exact_at_the_float32_beside_zeta(zeta: float, steps: int) -> None:
+def test_support_limit_is_exact_at_the_float32_beside_zeta(zeta, steps):
     """A difference is below zeta as real numbers, however zeta falls between two float32 values."""
     difference = np.float32(zeta)
     for _ in range(abs(steps)):
@@ -225,7 +223,7 @@ def test_support_limit_is_exact_at_the_float32_beside_zeta(zeta: float, steps: i
     assert bool(supported[0, 4]) == (float(difference) < zeta)
 
 
-def test_every_loop_of_a_paper_has_a_twin_of_the_same_arguments() -> None:
+def test_every_loop_of_a_paper_has_a_twin_of_the_same_arguments():
     assert set(OF_PAPERS) >= set(CASES)
     for name in OF_PAPERS:
         assert [*inspect.signature(LOOPS[name].py_func).parameters] == [
@@ -234,7 +232,7 @@ def test_every_loop_of_a_paper_has_a_twin_of_the_same_arguments() -> None:
 
 
 @pytest.mark.parametrize("shape", [(40, 41), (41, 40)])
-def test_components_of_a_comb_and_a_chessboard(shape: tuple[int, int]) -> None:
+def test_components_of_a_comb_and_a_chessboard(shape):
     comb = np.zeros(shape, dtype=bool)
     comb[:, ::2] = True
     comb[-1] = True
@@ -263,7 +261,7 @@ print("numba" in sys.modules, file=sys.stderr)
 
 
 @pytest.mark.slow
-def test_the_reference_runs_through_the_same_composition_without_the_compiler() -> None:
+def test_the_reference_runs_through_the_same_composition_without_the_compiler():
     reference, compiled = (
         patience.run(
             [sys.executable, "-c", REFERENCE, how], capture_output=True, text=True, check=True
@@ -275,8 +273,8 @@ def test_the_reference_runs_through_the_same_composition_without_the_compiler() 
 
 
 def test_an_engine_holds_in_its_context_and_in_its_thread(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     image = np.zeros((2, 2), np.bool_)
     monkeypatch.setattr(dilate, "reference", lambda: lambda image, gamma: "plain")
     with use_engine("reference"):
@@ -292,7 +290,7 @@ def test_an_engine_holds_in_its_context_and_in_its_thread(
     assert not dilate(image, 1).any()
 
 
-def test_twins_share_no_code_with_loops() -> None:
+def test_twins_share_no_code_with_loops():
     """Import-linter sees to what modules of the reference import."""
     for name in OF_PAPERS:
         assert twin_module(name).__name__.startswith("prc_cli.reference.")

@@ -1,7 +1,5 @@
 """Finds the slow twin of a loop, and compares the two."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from importlib import import_module
 from types import ModuleType

@@ -1,7 +1,5 @@
 """Joins by keys, streams side by side, and pairs of files."""
 
-from __future__ import annotations
-
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
@@ -82,9 +80,7 @@ def by_hand(left: Columns, right: Columns, tolerance: float) -> set[tuple[int, i
     seed=st.integers(0, 99),
 )
 @settings(max_examples=50)
-def test_keys_return_numbers_and_classes(
-    data: st.DataObject, n: int, m: int, tolerance: float, has_codes: bool, seed: int
-) -> None:
+def test_keys_return_numbers_and_classes(data, n, m, tolerance, has_codes, seed):
     sides = []
     for k in (n, m):
         key = data.draw(st.lists(st.integers(0, 16), min_size=k, max_size=k))
@@ -154,7 +150,7 @@ def plain_join(left: Any, right: Any, tolerance: float) -> tuple[list[int], int]
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_join_like_a_plain_one_however_it_is_chunked(seed: int) -> None:
+def test_join_like_a_plain_one_however_it_is_chunked(seed):
     rng = RNG(seed)
     tolerance = [0.0, 0.25, 1.0, 3.0][seed % 4]
     n = rng.integers(1, 60, 2)
@@ -185,7 +181,7 @@ def test_join_like_a_plain_one_however_it_is_chunked(seed: int) -> None:
         assert tally.n_pairs == np.count_nonzero(np.array(expected) >= 0)
 
 
-def test_distances_show_which_tolerance_would_help() -> None:
+def test_distances_show_which_tolerance_would_help():
     ones = np.ones(10, np.int64)
     tally = JoinTally()
     joined = list(
@@ -200,7 +196,7 @@ def test_distances_show_which_tolerance_would_help() -> None:
     assert JoinTally().near() is None
 
 
-def test_an_unsorted_side_is_named() -> None:
+def test_an_unsorted_side_is_named():
     rising = {KEY: np.array([1.0, 2.0])}
     falling = {KEY: np.array([2.0, 1.0])}
     for side, streams in ((0, (falling, rising)), (1, (rising, falling))):
@@ -209,7 +205,7 @@ def test_an_unsorted_side_is_named() -> None:
         assert caught.value.side == side
 
 
-def test_too_many_records_of_one_key_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_records_of_one_key_are_refused(monkeypatch):
     monkeypatch.setattr(join_module, "MAX_HELD", 1000)
     same = [{KEY: np.ones(100), "id": np.arange(100)}] * 20
     with pytest.raises(
@@ -218,7 +214,7 @@ def test_too_many_records_of_one_key_are_refused(monkeypatch: pytest.MonkeyPatch
         list(join_by_key(iter(same), iter(same), 0.0, JoinTally()))
 
 
-def test_memory_does_not_grow_with_the_streams() -> None:
+def test_memory_does_not_grow_with_the_streams():
     def stream(n: int, step: int) -> Iterator[Columns]:
         for first in range(0, n, 20_000):
             key = np.arange(first, first + 20_000) * float(step)
@@ -246,7 +242,7 @@ def fill(folder: Path, *names: str) -> Path:
     return folder
 
 
-def test_folders_pair_by_name_without_suffix(tmp_path: Path) -> None:
+def test_folders_pair_by_name_without_suffix(tmp_path):
     left = fill(tmp_path / "run", "b.1.npy", "a.npy", "a.npy.prc.json", ".c.npy", "notes.md")
     right = fill(tmp_path / "reference", "a.csv.gz", "b.1.LABEL", "README")
     (right / "more.npy").mkdir()
@@ -271,18 +267,18 @@ def test_folders_pair_by_name_without_suffix(tmp_path: Path) -> None:
     ],
 )
 def test_folders_that_do_not_fit(
-    tmp_path: Path,
-    run: tuple[str],
-    reference: tuple[str],
-    message: str,
-) -> None:
+    tmp_path,
+    run,
+    reference,
+    message,
+):
     left = fill(tmp_path / "run", *run)
     right = fill(tmp_path / "reference", *reference)
     with pytest.raises(InputError, match=message):
         pair_files(left, right)
 
 
-def test_a_file_against_a_folder(tmp_path: Path) -> None:
+def test_a_file_against_a_folder(tmp_path):
     folder = fill(tmp_path / "run", "a.npy")
     with pytest.raises(
         InputError, match="a.npy: a file against the folder .*run; give two files or two folders"

@@ -1,7 +1,5 @@
 """Nearest points of two clouds, against a search point by point, and the shift of the clouds."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator
 
@@ -34,11 +32,11 @@ def points(n: int, seed: int, span: float = 60.0) -> F64:
     ("tolerance", "n", "most"), [(0.5, 900, 50), (3.0, 300, 7), (3.0, 20, 1000), (0.5, 0, 50)]
 )
 def test_every_point_comes_once_with_its_nearest_one(
-    monkeypatch: pytest.MonkeyPatch,
-    tolerance: float,
-    n: int,
-    most: int,
-) -> None:
+    monkeypatch,
+    tolerance,
+    n,
+    most,
+):
     monkeypatch.setattr(tiles_of, "__defaults__", (most,))
     left = points(n, 1)
     right = points(700, 2)
@@ -56,7 +54,7 @@ def test_every_point_comes_once_with_its_nearest_one(
     assert (tally.n_left, tally.n_pairs, tally.n_right) == (n, int((expected >= 0).sum()), used)
 
 
-def test_of_points_as_near_the_one_of_the_nearest_time_is_taken() -> None:
+def test_of_points_as_near_the_one_of_the_nearest_time_is_taken():
     here = np.zeros((1, 3))
     right = np.array([[0.1, 0, 0], [0.1, 0, 0], [-0.1, 0, 0]])
     for seconds, expected in (([1.0, 5.0, 9.0], 1), ([5.0, 1.0, 9.0], 0), ([1.0, 1.0, 5.0], 2)):
@@ -70,11 +68,11 @@ def test_of_points_as_near_the_one_of_the_nearest_time_is_taken() -> None:
     [(0.0, 1, 0.002, 0.3), (0.02, 1, 0.05, 0.3), (0.0, 9, 0.4, 1)],
 )
 def test_the_tolerance_follows_error_and_spacing(
-    error: float,
-    thinned: int,
-    low: float,
-    high: float,
-) -> None:
+    error,
+    thinned,
+    low,
+    high,
+):
     random = np.random.default_rng(0)
     flat = np.stack(
         [*(axis.ravel() * 0.1 for axis in np.mgrid[0:300, 0:300]), np.zeros(90_000)], axis=1
@@ -121,14 +119,14 @@ def quarters(xyz: F64) -> Cloud:
     "shift",
     [(0.0, 0.12, 0.0), (0.0, 0.0, -0.1), (0.2, 0.3, 0.1), (1.0, 0.0, 0.0), (3.0, -2.0, 0.5)],
 )
-def test_a_shift_is_measured(shift: tuple[float, ...]) -> None:
+def test_a_shift_is_measured(shift):
     measured = shift_of(quarters(street(1)), quarters(registered(street(2), 5) + shift))
     assert measured is not None
     np.testing.assert_allclose(measured, shift, atol=0.03)
 
 
 @pytest.mark.parametrize("tolerance", [1e8, 1e300])
-def test_points_far_apart_and_any_tolerance_take_no_memory(tolerance: float) -> None:
+def test_points_far_apart_and_any_tolerance_take_no_memory(tolerance):
     far = np.array([[0.0, 0.0, 0.0], [9e8, 9e8, 0.0]])
     tally = JoinTally()
     pairs = [
@@ -139,6 +137,6 @@ def test_points_far_apart_and_any_tolerance_take_no_memory(tolerance: float) -> 
     assert sum(map(len, pairs)) == 2
 
 
-def test_clouds_in_other_units_do_not_lie_on_each_other() -> None:
+def test_clouds_in_other_units_do_not_lie_on_each_other():
     metres = np.random.default_rng(3).random((1200, 3)) * [100, 100, 5]
     assert fit_of(cloud(metres), cloud(metres / 0.3048)) is None

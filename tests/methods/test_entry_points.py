@@ -1,7 +1,5 @@
 """A method of another package goes through the commands as a built-in one."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -70,7 +68,7 @@ METHOD = Method("toy-of-a-test", ToyParams, "toy", mapping="street", presets=PRE
 
 
 @pytest.fixture
-def archive(tmp_path: Path) -> Path:
+def archive(tmp_path):
     """A folder with a drive and its reference; the method is installed beside it."""
     package = tmp_path / "installed"
     about = package / "toy_method-1.dist-info"
@@ -107,7 +105,7 @@ def prc(archive: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-def test_a_method_from_outside_goes_through_the_commands(archive: Path) -> None:
+def test_a_method_from_outside_goes_through_the_commands(archive):
     drive = archive / "drive.npz"
     assert json.loads(prc(archive, "info", drive, "--method", "toy-of-a-test", "--json").stdout)
     prc(archive, "classify", drive, "near.npy", "--method", "toy-of-a-test")

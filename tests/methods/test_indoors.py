@@ -1,8 +1,5 @@
 """Curbs: none under the ceiling of a building, all under a bridge and between high houses."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +26,7 @@ class Street(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def street() -> Street:
+def street():
     options = {"lines": LINES, "seed": 3, "trajectory": {"stop_every_m": 0.0}}
     scan = open_simulation("street", load_settings("street", options=options)).scan
     ranges = np.concatenate([block.range_m for block in scan.blocks()])
@@ -54,8 +51,8 @@ def curbs(ranges: np.ndarray, beam: np.ndarray) -> np.ndarray:
 
 
 def test_a_street_has_curbs_under_a_bridge_and_none_under_a_ceiling(
-    street: Street,
-) -> None:
+    street,
+):
     open_air = curbs(*street)
     assert open_air.sum() > 500
     # 2.6 m of the scanner and 2.4 m to the bridge
@@ -65,8 +62,8 @@ def test_a_street_has_curbs_under_a_bridge_and_none_under_a_ceiling(
 
 
 def test_an_alley_between_high_houses_keeps_its_curbs(
-    street: Street,
-) -> None:
+    street,
+):
     ranges = street.ranges.copy()
     beam = street.beam
     # walls of 40 m beside the road, the sky above
@@ -81,9 +78,7 @@ def test_an_alley_between_high_houses_keeps_its_curbs(
 
 
 @pytest.mark.data
-def test_floor_and_ceiling_of_a_museum_are_not_taken_for_each_other(
-    real_data: Path, tmp_path: Path
-) -> None:
+def test_floor_and_ceiling_of_a_museum_are_not_taken_for_each_other(real_data, tmp_path):
     """The scanner's angle 0 points up, and its dead angle down.
 
     1.2 m to the floor, 3.8 m to the ceiling.

@@ -1,7 +1,5 @@
 """The runner of all methods: scanners, further returns, reasons."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -92,14 +90,14 @@ def labels_of(method: Parity, threads: int) -> dict[int, list[list[int]]]:
 
 
 @pytest.mark.parametrize("k", [1, 4, 7, 100])
-def test_every_scanner_has_a_state_of_its_own_whatever_the_threads(k: int) -> None:
+def test_every_scanner_has_a_state_of_its_own_whatever_the_threads(k):
     alone = labels_of(Parity(1), 1)
     assert [len(lines) for lines in alone.values()] == [60, 60]
     for threads in (1, 2, 5):
         assert labels_of(Parity(k), threads) == alone
 
 
-def test_a_runner_that_is_left_early_leaves_no_thread() -> None:
+def test_a_runner_that_is_left_early_leaves_no_thread():
     labelled = run_blocks(blocks(), Parity(2), threads=3)
     next(labelled)
     labelled.close()  # type: ignore[attr-defined]
@@ -118,9 +116,7 @@ def test_a_runner_that_is_left_early_leaves_no_thread() -> None:
         ("fused", "_decide_stream"),
     ],
 )
-def test_a_block_that_fails_lets_the_others_end(
-    monkeypatch: pytest.MonkeyPatch, method: str, step: str
-) -> None:
+def test_a_block_that_fails_lets_the_others_end(monkeypatch, method, step):
     """Before, in, between and after the steps that hand on.
 
     Nobody waits for a turn that never comes.
@@ -142,13 +138,13 @@ def test_a_block_that_fails_lets_the_others_end(
         list(run_blocks(iter([block]), params.classifier.method(), threads=2))
 
 
-def test_lines_of_another_length_are_refused() -> None:
+def test_lines_of_another_length_are_refused():
     blocks = [ScanBlock(0, np.ones((4, 5), np.float32)), ScanBlock(4, np.ones((5, 4), np.float32))]
     with pytest.raises(InputError, match=r"found an array of shape \(\d, 4\)"):
         list(run_blocks(iter(blocks), Prc(PrcParams(lines_per_block=2)), threads=2))
 
 
-def test_the_table_holds_what_it_names() -> None:
+def test_the_table_holds_what_it_names():
     assert [table_of(method) for method in METHODS] == list(MethodTables.model_fields)
     for method in METHODS:
         params = RunConfig(method=method).classifier
@@ -179,7 +175,7 @@ def label_one(
 
 
 @pytest.mark.parametrize(("zeta_p", "zeta_s"), [(1.0, 1.0), (0.25, 1.0), (1.0, 0.1), (0.0, 0.5)])
-def test_rule_one_return_at_a_time(zeta_p: float, zeta_s: float) -> None:
+def test_rule_one_return_at_a_time(zeta_p, zeta_s):
     rng = np.random.default_rng(11)
     for n_lines, width in [(1, 1), (1, 12), (2, 3), (9, 15)]:
         image = (rng.integers(16, 40, (n_lines, width)) / 8).astype(np.float32)
@@ -199,7 +195,7 @@ def test_rule_one_return_at_a_time(zeta_p: float, zeta_s: float) -> None:
         np.testing.assert_array_equal(labels_extra, expected)
 
 
-def test_every_reason_has_a_sentence_and_limits_that_exist() -> None:
+def test_every_reason_has_a_sentence_and_limits_that_exist():
     assert set(RULES) == set(Reason)
     assert len({rule.sentence for rule in RULES.values()}) == len(RULES)
     config = RunConfig()

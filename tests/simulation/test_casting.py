@@ -1,7 +1,5 @@
 """"""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -123,12 +121,12 @@ def profile(
     ],
 )
 def test_shots_meet_simple_bodies_where_geometry_says(
-    body: tuple[Shape, list[float]],
-    origin: tuple[float, ...],
-    towards: tuple[float, ...],
-    t: float,
-    facing: float,
-) -> None:
+    body,
+    origin,
+    towards,
+    t,
+    facing,
+):
     hits = one_shot(world(body), origin, towards)
     assert hits.t.item() == pytest.approx(t)
     assert hits.facing.item() == pytest.approx(facing)
@@ -137,7 +135,7 @@ def test_shots_meet_simple_bodies_where_geometry_says(
 
 @pytest.mark.parametrize("slant_rad", [0.0, 0.6])
 @pytest.mark.parametrize("roll_rad", [0.0, 0.03, -0.03])
-def test_no_shot_leaves_a_closed_room(slant_rad: float, roll_rad: float) -> None:
+def test_no_shot_leaves_a_closed_room(slant_rad, roll_rad):
     corners = np.array([[x, y, z] for x in (-9.0, 11.0) for y in (-3.0, 4.0) for z in (-2.0, 3.0)])
     faces = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
     triangles = [
@@ -158,7 +156,7 @@ def leafy() -> Bodies:
     return world(*crowns, (Shape.BOX, [0, 3, -1, 40, 0.5, 1, 0]), density=1.0)
 
 
-def test_hits_do_not_depend_on_how_lines_are_cut_into_blocks() -> None:
+def test_hits_do_not_depend_on_how_lines_are_cut_into_blocks():
     origin, direction, time = profile(6)
     whole = cast(leafy(), origin, direction, time, first_shot=10**12)
     for i in range(6):
@@ -186,14 +184,14 @@ def hits(
     return Hits(t, number, np.broadcast_to(np.asarray(facing, dtype=np.float64), shape).copy())
 
 
-def test_the_loop_reads_the_labels_that_are_meant() -> None:
+def test_the_loop_reads_the_labels_that_are_meant():
     from prc_cli.simulation import sensor_loops as loops
 
     assert (loops.LABEL_MISSING, loops.LABEL_NOISE) == (Label.MISSING, Label.NOISE)
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 3, 8, 40])
-def test_rows_are_sorted_by_their_keys(n: int) -> None:
+def test_rows_are_sorted_by_their_keys(n):
     rng = np.random.default_rng(n)
     for _ in range(9):
         keys = rng.integers(0, 20, (40, 3)).astype(np.float64)

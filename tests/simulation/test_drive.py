@@ -1,9 +1,5 @@
 """Whole simulated scans."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -93,7 +89,7 @@ def scan_of(scanner: Scanner = EXACT, *, n_lines: int = 3, sight_m: float = 100.
     )
 
 
-def test_ranges_labels_and_places_are_those_of_the_street() -> None:
+def test_ranges_labels_and_places_are_those_of_the_street():
     (item,) = scan_of().simulated()
     block = item.labelled.block
     angle = EXACT.angle_rad()
@@ -147,7 +143,7 @@ def drive(**values: float) -> Trajectory:
     return Trajectory(straight, MotionParams(**{**STEADY, **values}), 2.5, seed=3)
 
 
-def test_csv_is_what_the_reader_takes(tmp_path: Path) -> None:
+def test_csv_is_what_the_reader_takes(tmp_path):
     path = tmp_path / "drive.csv"
     platform = Trajectory(winding, MOTIONS["car"], 2.5, seed=5)
     write_trajectory(path, platform, 3.0, start_s=1000.0, frame=Frame())
@@ -158,7 +154,7 @@ def test_csv_is_what_the_reader_takes(tmp_path: Path) -> None:
     )
 
 
-def test_sbet_is_what_the_reader_takes(tmp_path: Path) -> None:
+def test_sbet_is_what_the_reader_takes(tmp_path):
     pyproj = pytest.importorskip("pyproj")
     path = tmp_path / "drive.sbet"
     frame = Frame()

@@ -1,8 +1,6 @@
 """Forests and streets: the same bodies from every place, a clear path, stems and the cylinders of
 the paper."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 
@@ -20,11 +18,11 @@ from prc_cli.simulation.world import Bodies
 
 
 @pytest.fixture(scope="module")
-def scene() -> ForestScene:
+def scene():
     return ForestScene(ForestSceneParams(), seed=11)
 
 
-def test_the_path_is_clear(scene: ForestScene) -> None:
+def test_the_path_is_clear(scene):
     """Along 120 m, no stem stands where the walker passes."""
     s = np.arange(0.0, 120.0, 0.25)
     path, _ = scene.path_point(s)
@@ -60,7 +58,7 @@ class _OneTree:
         )
 
 
-def test_cylinders_of_the_paper_on_points_by_hand() -> None:
+def test_cylinders_of_the_paper_on_points_by_hand():
     """Radius two diameters; from 0.3 to 4.3 m above the foot.
 
     Ground up to 0.8 m above the nearest foot.
@@ -99,7 +97,7 @@ def around(
     return scene.bodies_near(x, y, radius, time_s)
 
 
-def test_the_same_bodies_whatever_the_circle_and_the_way_there() -> None:
+def test_the_same_bodies_whatever_the_circle_and_the_way_there():
     whole = StreetScene(seed=11)
     two = StreetScene(seed=11)
     for s in (600.0, 30.0):
@@ -120,6 +118,6 @@ def test_the_same_bodies_whatever_the_circle_and_the_way_there() -> None:
     assert not np.array_equal(a.numbers, fresh.numbers)
 
 
-def test_verges_end_before_dropped_curbs() -> None:
+def test_verges_end_before_dropped_curbs():
     side: Any = SimpleNamespace(junction=None, dropped=[(10.0, 20.0)])
     assert _verges(side, [-5.0, 35.0], (0.0, 40.0)) == [(0.0, 10.0 - DROP_M), (20.0 + DROP_M, 35.0)]

@@ -1,9 +1,6 @@
 """Scanners: presets, values and bounds; spinning ones: firings as lines, turns as frames, snow."""
 
-from __future__ import annotations
-
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +21,7 @@ def options(**more: object) -> dict[str, object]:
     return {"scanner": COARSE, "duration_s": 0.25, "seed": 5, **more}
 
 
-def test_frames_lie_where_their_poses_say(tmp_path: Path) -> None:
+def test_frames_lie_where_their_poses_say(tmp_path):
     frames = tmp_path / "frames"
     settings = load_settings("street", options=options(trajectory={"stop_every_m": 0.0}))
     simulate("street", tmp_path / "drive.npz", settings, beside=Beside(frames=frames))
@@ -50,7 +47,7 @@ def test_frames_lie_where_their_poses_say(tmp_path: Path) -> None:
     assert 0.5 < np.linalg.norm(poses[1][:, 3]) < 3.0
 
 
-def test_snow_is_noise_near_the_scanner() -> None:
+def test_snow_is_noise_near_the_scanner():
     def labelled(flake_m: float) -> tuple[np.ndarray, np.ndarray]:
         settings = load_settings("street", options=options(flake_m=flake_m))
         blocks = list(open_simulation("street", settings).scan.labelled_blocks(300))
@@ -68,7 +65,7 @@ def test_snow_is_noise_near_the_scanner() -> None:
     assert np.array_equal(snowy_labels[same], clear_labels[same])
 
 
-def test_what_is_refused(tmp_path: Path) -> None:
+def test_what_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="rising elevations of a spinning scanner"):
         load_settings("street", options=options(scanner={**COARSE, "elevations_deg": [1.0, 0.0]}))
     with pytest.raises(ConfigError, match="a scanner that does not spin"):
@@ -100,12 +97,12 @@ def test_what_is_refused(tmp_path: Path) -> None:
         {"noise_m": float("nan")},
     ],
 )
-def test_senseless_values_are_refused(values: dict[str, object]) -> None:
+def test_senseless_values_are_refused(values):
     with pytest.raises(ValidationError):
         SCANNERS["photon-80"].changed(**values)
 
 
-def test_stops_are_as_far_apart_as_braking_needs() -> None:
+def test_stops_are_as_far_apart_as_braking_needs():
     car = MOTIONS["car"].model_dump()
     none = {**car, "stop_every_m": 0.0}
     far = {**car, "stop_every_m": 5000.0}

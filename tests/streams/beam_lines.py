@@ -1,7 +1,5 @@
 """Scan lines with known beams, for every way a scanner can turn; and streams made of blocks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise

@@ -1,9 +1,5 @@
 """Recorded scan angles that are cut off or of another scale: x, y, z and the other columns tell."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -59,9 +55,7 @@ def drive(range_m: F64, xyz: F64, angle_rad: F64) -> ScanStream:
         (np.abs, "run back", False),
     ],
 )
-def test_angles_that_are_not_those_of_the_shots_are_not_used(
-    angle_of: Any, note_part: str, has_angles: bool
-) -> None:
+def test_angles_that_are_not_those_of_the_shots_are_not_used(angle_of, note_part, has_angles):
     range_m, xyz = walls()
     info = drive(range_m, xyz, angle_of(TRUE)).info
     assert (info.angle_rad is not None) == has_angles
@@ -81,7 +75,7 @@ def test_angles_that_are_not_those_of_the_shots_are_not_used(
         (lambda _, xyz: xyz[..., 2] - np.nanmin(xyz[..., 2]) + 1.0, True),
     ],
 )
-def test_a_range_that_is_none_is_doubted(range_of: Any, is_doubted: bool) -> None:
+def test_a_range_that_is_none_is_doubted(range_of, is_doubted):
     range_m, xyz = walls()
     finding = check_coordinates(Seen(drive(range_of(range_m, xyz), xyz, TRUE).info, 0, ()))
     assert (finding is not None) == is_doubted

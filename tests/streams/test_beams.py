@@ -1,9 +1,6 @@
 """Beams of scanners, made and real."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -50,7 +47,7 @@ def beams_of(source: ScanStream, config: InputConfig = AUTO) -> F64:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GEOMETRIES)
-def test_beams_do_not_depend_on_how_the_stream_is_cut(name: str) -> None:
+def test_beams_do_not_depend_on_how_the_stream_is_cut(name):
     true = GEOMETRIES[name]
     # leading lines without returns do not count
     block = gone(lines(true, 150, seed=3, tilt_deg=2.0), slice(None), np.r_[0:30, 40:43])
@@ -60,7 +57,7 @@ def test_beams_do_not_depend_on_how_the_stream_is_cut(name: str) -> None:
         assert np.array_equal(beams_of(stream(*pieces(block, np.random.default_rng(seed)))), whole)
 
 
-def test_every_scanner_has_beams_of_its_own_however_late_it_is_met() -> None:
+def test_every_scanner_has_beams_of_its_own_however_late_it_is_met():
     names = ["whole circle", "low to high", "through the zenith"]
     parts = []
     for scanner, name in enumerate(names):
@@ -95,8 +92,8 @@ def with_stray_shots(block: ScanBlock, n_lines: int) -> ScanBlock:
 
 
 def test_prc_for_want_of_beams_is_a_doubt_where_lines_have_returns(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     block = lines(GEOMETRIES["through the zenith"], missing=0.0)
     source = stream(with_stray_shots(block, 200))
     monkeypatch.setattr("prc_cli.streams.beams.MAX_SAMPLE_CELLS", 70 * block.points_per_line)
@@ -113,7 +110,7 @@ def registered(with_angle: bool) -> ScanBlock:
     return replace(block, xyz_m=xyz, angle_rad=true + 1.0 if with_angle else None)
 
 
-def test_registered_coordinates_are_refused_or_used_for_their_heights() -> None:
+def test_registered_coordinates_are_refused_or_used_for_their_heights():
     with pytest.raises(
         InputError, match=r"xyz is not relative to the scanner: its length is .* m off the range"
     ) as got:
@@ -137,7 +134,7 @@ def test_registered_coordinates_are_refused_or_used_for_their_heights() -> None:
         with_beams(stream(wrong), AUTO)
 
 
-def test_zenith_angles_and_coordinates_of_arrays(tmp_path: Path) -> None:
+def test_zenith_angles_and_coordinates_of_arrays(tmp_path):
     true = GEOMETRIES["low to high"]
     block = lines(true, 30)
     assert block.xyz_m is not None
@@ -180,9 +177,7 @@ def shown_beams(config: dict[str, Any], records: dict[str, NDArray[Any]]) -> F64
 
 @pytest.mark.parametrize("start_deg", [-180.0, 33.0])
 @pytest.mark.parametrize("how", ["dimensions", "order", "fixed", "time", "own angles", "z alone"])
-def test_heights_tell_where_down_is_on_the_scale_of_given_angles(
-    start_deg: float, how: str
-) -> None:
+def test_heights_tell_where_down_is_on_the_scale_of_given_angles(start_deg, how):
     """Nothing of the file but its heights says it, and no guess is made."""
     _, records = scene(missing=0.0 if how in ("order", "fixed") else 0.2)
     if how == "fixed":
@@ -224,7 +219,7 @@ def hostile(rng: np.random.Generator) -> ScanBlock:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("error")
-def test_any_lines_have_proper_beams_or_are_refused_in_one_line() -> None:
+def test_any_lines_have_proper_beams_or_are_refused_in_one_line():
     rng = np.random.default_rng(8)
     n_found = 0
     refusals = []
@@ -264,7 +259,7 @@ def verdict(finding: Finding | None) -> Verdict | None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_what_tells_nothing_gives_no_finding() -> None:
+def test_what_tells_nothing_gives_no_finding():
     rng = np.random.default_rng(2)
     nothing = [
         np.full((20, len(BEAM)), np.nan, np.float32),

@@ -1,9 +1,6 @@
 """Directions of lines and columns."""
 
-from __future__ import annotations
-
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +20,7 @@ def sweeps(n_lines: int, m: int, step_deg: float = 1.0) -> tuple[F64, I64]:
 
 
 @pytest.mark.parametrize("seam", [0, 100, 350])
-def test_columns_turn_evenly_but_for_a_sector_that_is_not_measured(seam: int) -> None:
+def test_columns_turn_evenly_but_for_a_sector_that_is_not_measured(seam):
     """288 degrees in 360 columns: the rest lies before a column of the line."""
     every = np.arange(360)
     truth = np.deg2rad(0.8 * ((every - seam) % 360) + 50.0)
@@ -37,14 +34,14 @@ def test_columns_turn_evenly_but_for_a_sector_that_is_not_measured(seam: int) ->
     np.testing.assert_allclose(wrap(angles - truth), 0.0, atol=1e-9)
 
 
-def test_directions_that_turn_several_times_in_a_line_are_refused() -> None:
+def test_directions_that_turn_several_times_in_a_line_are_refused():
     column = np.arange(0, 360, 2)
     with pytest.raises(NoDirectionError, match=r"4\.97 turns|5\.0 turns"):
         turn_evenly(column, wrap(np.deg2rad(5.0) * column), np.ones(180), 360)
 
 
 @pytest.mark.parametrize("step_deg", [1e-310, 1e-9, 3.5e-5])
-def test_no_turn_has_more_than_ten_million_columns(step_deg: float) -> None:
+def test_no_turn_has_more_than_ten_million_columns(step_deg):
     angle = np.deg2rad(step_deg * np.tile(np.arange(100.0), 3))
     line = np.repeat(np.arange(3), 100)
     with pytest.raises(
@@ -92,11 +89,11 @@ def room(
     ],
 )
 def test_the_step_is_in_the_ranges(
-    step_deg: float,
-    m: int,
-    noise_m: float,
-    usual: str,
-) -> None:
+    step_deg,
+    m,
+    noise_m,
+    usual,
+):
     measured = measure_step(room(step_deg, m, noise_m=noise_m))
     assert measured is not None
     assert math.degrees(measured.step_rad) == pytest.approx(step_deg, rel=0.005)
@@ -105,7 +102,7 @@ def test_the_step_is_in_the_ranges(
 
 
 @pytest.mark.slow
-def test_real_push_brooms(real_data: Path) -> None:
+def test_real_push_brooms(real_data):
     """Half a degree, on real roads, which have a crown."""
     assert real_data.is_dir()
     from benchmarks.contest_data import oakland

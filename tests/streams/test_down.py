@@ -1,7 +1,5 @@
 """Where down is: from coordinates, heights and the ground."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -15,7 +13,7 @@ from tests.streams.beam_lines import GEOMETRIES, is_strictly_monotone, lines, wo
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GEOMETRIES)
 @pytest.mark.parametrize("tilt_deg", [0.0, 4.0, -30.0])
-def test_beams_of_every_geometry_are_found(name: str, tilt_deg: float) -> None:
+def test_beams_of_every_geometry_are_found(name, tilt_deg):
     true = GEOMETRIES[name]
     block = lines(true, seed=len(name), tilt_deg=tilt_deg)
     assert block.xyz_m is not None
@@ -45,7 +43,7 @@ def test_beams_of_every_geometry_are_found(name: str, tilt_deg: float) -> None:
         ),
     ],
 )
-def test_coordinates_that_do_not_tell(xyz: F64, message: str) -> None:
+def test_coordinates_that_do_not_tell(xyz, message):
     with pytest.raises(NoDirectionError, match=message):
         fit_beams(xyz)
 
@@ -74,9 +72,7 @@ def room(n_lines: int = 120) -> F64:
         ((5e5, 4e6, 100.0), "not relative to the scanner: its ranges are 4031 km in the middle"),
     ],
 )
-def test_another_origin_than_the_scanner_is_refused(
-    offset_m: tuple[float, ...], message: str
-) -> None:
+def test_another_origin_than_the_scanner_is_refused(offset_m, message):
     assert fit_beams(room()).is_straight
     with pytest.raises(NoDirectionError, match=message):
         fit_beams(room() + np.array(offset_m))
@@ -100,7 +96,7 @@ def shots(
     return angle, range_m + rng.normal(0, 0.005, len(line)), np.round(z, 2), line
 
 
-def test_heights_that_do_not_belong_to_the_angles_are_refused() -> None:
+def test_heights_that_do_not_belong_to_the_angles_are_refused():
     angle, range_m, z, line = shots(3, 0.0)
     rng = np.random.default_rng(0)
     with pytest.raises(NoDirectionError, match="off what range and scan angle say"):
@@ -118,7 +114,7 @@ def test_heights_that_do_not_belong_to_the_angles_are_refused() -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_any_heights_are_fitted_or_refused() -> None:
+def test_any_heights_are_fitted_or_refused():
     rng = np.random.default_rng(5)
     for _ in range(300):
         n = int(rng.integers(0, 300))

@@ -1,8 +1,6 @@
 """Records to the stream: every rule gives the same scene, chunks do not matter, all losses are
 counted."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -58,7 +56,7 @@ def every_line_begins(records: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any
 
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("chunk_records", [1, 7, 1000])
-def test_every_rule_finds_the_same_scene(rule: str, chunk_records: int) -> None:
+def test_every_rule_finds_the_same_scene(rule, chunk_records):
     image, records = scene()
     names, options = RULES[rule]
     if rule == "line and time":
@@ -81,7 +79,7 @@ def test_every_rule_finds_the_same_scene(rule: str, chunk_records: int) -> None:
 
 
 @given(st.data())
-def test_chunks_change_nothing_in_hostile_input(data: st.DataObject) -> None:
+def test_chunks_change_nothing_in_hostile_input(data):
     """Random returns, repeated cells and times, lines that go back, gaps, NaN.
 
     The same for every chunk size.
@@ -135,7 +133,7 @@ def test_chunks_change_nothing_in_hostile_input(data: st.DataObject) -> None:
     assert len(set(results)) == 1
 
 
-def test_gaps_leave_in_bounded_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gaps_leave_in_bounded_pieces(monkeypatch):
     monkeypatch.setattr(grid, "MAX_BLOCK_CELLS", 100)
     line = np.array([0, 0, 70_000, 70_001])
     records = {
@@ -155,7 +153,7 @@ def test_gaps_leave_in_bounded_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
         open_records(records, max_gap_lines=500)
 
 
-def test_memory_is_bounded_when_a_line_never_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_is_bounded_when_a_line_never_ends(monkeypatch):
     monkeypatch.setattr(lines, "MAX_OPEN_RECORDS", 500)
     endless = {"range": np.ones(5000), "scan_line": np.zeros(5000), "column": np.arange(5000) % 7}
     with pytest.raises(
@@ -171,7 +169,7 @@ def test_memory_is_bounded_when_a_line_never_ends(monkeypatch: pytest.MonkeyPatc
         open_records(stamps, 100)
 
 
-def test_a_wrong_column_does_not_blow_up_the_image() -> None:
+def test_a_wrong_column_does_not_blow_up_the_image():
     n = 4000
     records = {"range": np.ones(n), "scan_line": np.arange(n) // 2, "column": np.arange(n) % 2}
     records["column"][77] = 9_999_999
@@ -191,9 +189,7 @@ def test_a_wrong_column_does_not_blow_up_the_image() -> None:
 @pytest.mark.parametrize(
     ("where", "lines"), [("scan_line", "auto"), ("lines = time: .*", "time:99000")]
 )
-def test_lines_that_are_nearly_all_empty_are_refused(
-    chunk_records: int, where: str, lines: str
-) -> None:
+def test_lines_that_are_nearly_all_empty_are_refused(chunk_records, where, lines):
     """3e10 cells for 300 records, every gap allowed by itself."""
     n = 300
     # uneven gaps: even ones would be steps of a counter
@@ -219,7 +215,7 @@ SEVERAL = "scanner_channel"
 @pytest.mark.parametrize(
     "rule", [rule for rule in RULES if rule not in ("sensor xyz", "line and time")]
 )
-def test_scanners_are_split(rule: str, chunk_records: int) -> None:
+def test_scanners_are_split(rule, chunk_records):
     names, options = RULES[rule]
     images = []
     parts = []
@@ -241,7 +237,7 @@ def test_scanners_are_split(rule: str, chunk_records: int) -> None:
         assert np.array_equal(mixed["range"][whole.record[there]], image[there])
 
 
-def test_a_partial_line_is_refused_when_opened_and_the_true_length_is_named() -> None:
+def test_a_partial_line_is_refused_when_opened_and_the_true_length_is_named():
     with pytest.raises(InputError, match='left over.*input.partial_line="pad"'):
         open_grid(MemorySource({"range": np.ones(10)}), InputConfig(points_per_line=4))
     line = np.random.default_rng(5).uniform(2, 20, 50)
@@ -249,7 +245,7 @@ def test_a_partial_line_is_refused_when_opened_and_the_true_length_is_named() ->
         open_grid(MemorySource({"range": np.tile(line, 40)}), InputConfig(points_per_line=49))
 
 
-def test_an_earlier_drive_behind_a_later_one_is_refused() -> None:
+def test_an_earlier_drive_behind_a_later_one_is_refused():
     """One step back in 40 000, but by the whole drive.
 
     Half of the shots would have no line left.
@@ -270,7 +266,7 @@ def test_an_earlier_drive_behind_a_later_one_is_refused() -> None:
     assert np.isnan(sorted_.range_m).sum() == 6000 * 20 - 2 * n
 
 
-def test_sorting_by_time_restores_the_scene() -> None:
+def test_sorting_by_time_restores_the_scene():
     image, records = scene()
     order = np.random.default_rng(3).permutation(len(records["range"]))
     shuffled = {name: records[name][order] for name in ("range", "time", "scan_line", "column")}
@@ -297,9 +293,7 @@ def test_sorting_by_time_restores_the_scene() -> None:
         ([0, 0, 1, 1, 2, 2, 2], {"lines": "fixed", "points_per_line": 7}),
     ],
 )
-def test_all_records_are_counted_placed_or_not(
-    line: list[float], options: dict[str, Any], chunk_records: int
-) -> None:
+def test_all_records_are_counted_placed_or_not(line, options, chunk_records):
     n = len(line)
     records = {
         "range": np.ones(n),

@@ -1,7 +1,5 @@
 """The first records of a source are decoded once, however many readers ask for them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
@@ -25,7 +23,7 @@ def numbers(*names: str) -> MemorySource:
 
 
 @pytest.fixture
-def short_head(monkeypatch: pytest.MonkeyPatch) -> None:
+def short_head(monkeypatch):
     """Keep three chunks."""
     monkeypatch.setattr(heads, "HEAD_RECORDS", 300)
 
@@ -35,7 +33,7 @@ def read(head: Head, name: str, n_chunks: int | None = None) -> list[int]:
     return [int(value) for chunk in chunks for value in chunk.values[name]]
 
 
-def test_every_reader_may_go_on_to_the_end(short_head: None) -> None:
+def test_every_reader_may_go_on_to_the_end(short_head):
     source = numbers("time", "range")
     head = Head(source)
     for _ in range(3):
@@ -55,7 +53,7 @@ class Damaged(MemorySource):
             yield chunk
 
 
-def test_damage_counts_only_in_dimensions_that_were_asked_for(short_head: None) -> None:
+def test_damage_counts_only_in_dimensions_that_were_asked_for(short_head):
     head = Head(Damaged(numbers("time", "angle").values, 100), {"angle"})
     assert read(head, "time") == list(range(N))
     assert read(head, "time", 2) == list(range(200))
@@ -64,7 +62,7 @@ def test_damage_counts_only_in_dimensions_that_were_asked_for(short_head: None) 
             read(head, "angle")
 
 
-def test_rules_and_setup_decode_the_head_once() -> None:
+def test_rules_and_setup_decode_the_head_once():
     source = MemorySource(scene()[1], 100)
     stream = open_grid(source, InputConfig())
     assert len(source.reads) == 2  # and the pass that counts the columns

@@ -1,7 +1,5 @@
 """Starts of lines by every rule, and ranges from coordinates."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +25,7 @@ WHERE = "drive.laz: scan_line"
 @pytest.mark.parametrize(
     ("number", "shown"), [(3.5, "3.5"), (1e18, r"1e\+18"), (-1e300, r"-1e\+300")]
 )
-def test_dimension_refuses_what_is_no_line_number(number: float, shown: str) -> None:
+def test_dimension_refuses_what_is_no_line_number(number, shown):
     with pytest.raises(
         InputError,
         match=rf"scan_line: found line number {shown}, expected whole numbers; .*--lines",
@@ -35,7 +33,7 @@ def test_dimension_refuses_what_is_no_line_number(number: float, shown: str) -> 
         lines_by_dimension(np.array([1.0, number]), LineState(), WHERE)
 
 
-def test_sweep_needs_angles_of_one_direction() -> None:
+def test_sweep_needs_angles_of_one_direction():
     with pytest.raises(
         InputError,
         match=r"drive.laz: the scan angle does not vary in 9 shots, expected sweeps; find l",
@@ -72,7 +70,7 @@ def whole(path: Path, **rules: Any) -> ScanBlock:
 
 
 @pytest.mark.parametrize("chunk", [1, 2, 7])
-def test_chunks_change_nothing_and_points_without_elevation_stay(chunk: int) -> None:
+def test_chunks_change_nothing_and_points_without_elevation_stay(chunk):
     rng = np.random.default_rng(3)
     cloud = points(np.concatenate([np.sort(rng.uniform(-40, 80, 9)) for _ in range(12)]))
     for name in "xyz":
@@ -90,7 +88,7 @@ def test_chunks_change_nothing_and_points_without_elevation_stay(chunk: int) -> 
     assert np.array_equal(lines(chunk), undivided)
 
 
-def test_what_cannot_have_lines_by_elevation_is_refused(tmp_path: Path) -> None:
+def test_what_cannot_have_lines_by_elevation_is_refused(tmp_path):
     path = write(tmp_path / "a.csv", points([-30, 0]))
     with pytest.raises(ConfigError, match=r"elevation:DEG with 0 < \|DEG\| < 180"):
         whole(path, lines="elevation:0")
@@ -108,11 +106,11 @@ def test_what_cannot_have_lines_by_elevation_is_refused(tmp_path: Path) -> None:
     ("name", "n_lines", "longest"), [("car_cloud400.csv", 213, 141), ("car_cloud401.csv", 214, 142)]
 )
 def test_lines_of_a_rotating_profiler(
-    real_data: Path,
-    name: str,
-    n_lines: int,
-    longest: int,
-) -> None:
+    real_data,
+    name,
+    n_lines,
+    longest,
+):
     from prc_cli.formats.options import Layout, LayoutField
 
     fields = tuple(LayoutField(name=axis, source=index) for index, axis in enumerate("xyz"))
@@ -132,7 +130,7 @@ def opened(rule: str, dimensions: tuple[str, ...] = ALL) -> RangeRule:
     return open_ranges(rule, dimensions, "drive.laz", InputConfig(), crs_wkt=None)
 
 
-def test_millimetres_survive_large_coordinates() -> None:
+def test_millimetres_survive_large_coordinates():
     rule = opened("origin:552000.125,6600000.25,-3")
     values = {
         "x": np.array([552000.125 + 0.003]),

@@ -1,8 +1,5 @@
 """The order of records in time, and weeks that end."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -48,7 +45,7 @@ def slow_evidence(values: list[float]) -> tuple[int, int, int, int | None]:
     ),
     chunk=st.integers(1, 31),
 )
-def test_figures_equal_the_slow_count_for_any_chunk_size(values: list[float], chunk: int) -> None:
+def test_figures_equal_the_slow_count_for_any_chunk_size(values, chunk):
     evidence = watch_in_chunks(np.array(values, np.float64), chunk).evidence()
     steps, back, equal, first = slow_evidence(values)
     assert (evidence.n_steps, evidence.n_back, evidence.n_equal) == (steps, back, equal)
@@ -58,8 +55,8 @@ def test_figures_equal_the_slow_count_for_any_chunk_size(values: list[float], ch
 
 
 def test_a_long_file_is_refused_on_the_way_and_for_any_chunk_size(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     monkeypatch.setattr(order, "CHECK_RECORDS", 1000)
     times = np.arange(10_000.0)
     times[1500] = 0.0
@@ -98,7 +95,7 @@ def moved(kind: str) -> np.ndarray:
         ("begun anew", "the times start again at record 60000: split the file there"),
     ],
 )
-def test_a_single_large_step_back_is_refused_however_small_its_share(kind: str, hint: str) -> None:
+def test_a_single_large_step_back_is_refused_however_small_its_share(kind, hint):
     times = moved(kind)
     watch = watch_in_chunks(times, 7000, "require")
     evidence = watch.evidence()
@@ -109,7 +106,7 @@ def test_a_single_large_step_back_is_refused_however_small_its_share(kind: str, 
 
 
 @pytest.mark.parametrize("chunk", [1, 7000, 100_000])
-def test_records_without_a_time_are_not_to_be_sorted(chunk: int) -> None:
+def test_records_without_a_time_are_not_to_be_sorted(chunk):
     """Sorted, they would come first, and lines would be counted from them."""
     times = stamps(20_000) + 5.0
     times[[7, 900, 15_000]] = -1.0
@@ -131,7 +128,7 @@ def wrapped() -> tuple[np.ndarray, dict[str, np.ndarray]]:
 
 
 @pytest.mark.parametrize("goes_on", [False, True])
-def test_the_trajectory_is_asked_by_the_times_that_it_has(goes_on: bool, tmp_path: Path) -> None:
+def test_the_trajectory_is_asked_by_the_times_that_it_has(goes_on, tmp_path):
     image, records = wrapped()
     begin = WEEK_S - MIDDLE_S - 1
     track = [begin, begin + 3] if goes_on else [0.0, 2.0, begin, begin + 1.5]

@@ -1,10 +1,7 @@
 """Streams from pipes, and windows of them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -60,7 +57,7 @@ def ranges_of(source: PipeSource) -> list[float]:
 
 
 @pytest.mark.parametrize("sizes", [[1], [5], [400]])
-def test_the_same_stream_as_from_a_file(tmp_path: Path, sizes: list[int]) -> None:
+def test_the_same_stream_as_from_a_file(tmp_path, sizes):
     rng = np.random.default_rng(3)
     records = np.zeros(6 * 30, np.dtype([("r", ">u2"), ("a", ">i2"), ("t", ">f8"), ("pad", "V4")]))
     records["r"] = rng.integers(0, 3000, len(records)) * (rng.random(len(records)) < 0.8)
@@ -90,14 +87,14 @@ def test_the_same_stream_as_from_a_file(tmp_path: Path, sizes: list[int]) -> Non
         (np.ones(3, "<f4").tobytes() + b"xy", "ended inside record 3: found 2 bytes of 4"),
     ],
 )
-def test_an_end_in_the_wrong_place(data: bytes, message: str) -> None:
+def test_an_end_in_the_wrong_place(data, message):
     source = PipeSource(Pieces(data, [5]), RANGES)
     source.seal()
     with pytest.raises(InputError, match=message):
         ranges_of(source)
 
 
-def test_a_pipe_that_breaks() -> None:
+def test_a_pipe_that_breaks():
     class Broken(Pieces):
         def read(self, size: int = -1, /) -> bytes:
             raise OSError(5, "Input/output error")
@@ -106,7 +103,7 @@ def test_a_pipe_that_breaks() -> None:
         ranges_of(PipeSource(Broken(b"", [1]), RANGES))
 
 
-def test_what_would_need_the_whole_input_first() -> None:
+def test_what_would_need_the_whole_input_first():
     with pytest.raises(ConfigError, match="cannot be sorted by time"):
         open_pipe(Pieces(b"", [1]), InputConfig(points_per_line=3, order="sort-time"), RANGES)
     with pytest.raises(ConfigError, match="no dimension 'time' in the file; it has: range"):
@@ -128,7 +125,7 @@ class ReadsAhead:
 @pytest.mark.parametrize(
     ("lines", "n_lines"), [("0:10", 10), ("0:12", 12), ("3:20", 17), (":", 20)]
 )
-def test_records_of_the_window_are_counted_and_no_others(lines: str, n_lines: int) -> None:
+def test_records_of_the_window_are_counted_and_no_others(lines, n_lines):
     config = InputConfig(only_lines=lines)
     blocks = list(windowed(Stream.of(ReadsAhead()), config).blocks())
     assert sum(block.n_lines for block in blocks) == n_lines

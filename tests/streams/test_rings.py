@@ -1,8 +1,5 @@
 """Frames of rings."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -76,7 +73,7 @@ def cells(whole: Whole, n_records: int) -> tuple[I64, I64]:
 @pytest.mark.parametrize("way", [1, -1])
 @pytest.mark.parametrize("begin_deg", [0.5, 90.0, -179.6, 37.0])
 @pytest.mark.parametrize("upwards", [False, True])
-def test_every_record_finds_its_cell(way: int, begin_deg: float, upwards: bool) -> None:
+def test_every_record_finds_its_cell(way, begin_deg, upwards):
     records, true_line, true_column = frame(3, way=way, begin_deg=begin_deg, upwards=upwards)
     whole = opened(records, points_per_line=N_RINGS, azimuth_step=1.0)
     assert whole.range_m.shape == (N_LINES, N_RINGS)
@@ -108,7 +105,7 @@ def test_every_record_finds_its_cell(way: int, begin_deg: float, upwards: bool) 
         ({"order": "sort-time"}, "order"),
     ],
 )
-def test_other_rules_are_refused(keys: dict[str, Any], key: str) -> None:
+def test_other_rules_are_refused(keys, key):
     with pytest.raises(ConfigError, match=f"input.{key}: found .* where lines = rings"):
         opened(frame()[0], **keys)
 
@@ -124,7 +121,7 @@ def by_column(records: dict[str, Any]) -> dict[str, Any]:
     return {name: value[order] for name, value in records.items()}
 
 
-def test_frames_that_are_no_rings_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_that_are_no_rings_are_refused(monkeypatch):
     records, *_ = frame()
     with pytest.raises(InputError, match="turn|rings from top to bottom"):
         opened(shuffled(records))
@@ -154,7 +151,7 @@ def test_frames_that_are_no_rings_are_refused(monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.filterwarnings("error")
-def test_any_records_become_a_frame_or_are_refused_in_one_line() -> None:
+def test_any_records_become_a_frame_or_are_refused_in_one_line():
     rng = np.random.default_rng(9)
     n_read = 0
     refusals = []
@@ -181,7 +178,7 @@ def test_any_records_become_a_frame_or_are_refused_in_one_line() -> None:
     assert not any("\n" in message for message in refusals)
 
 
-def test_a_frame_in_column_order_is_told_in_a_dump(tmp_path: Path, real_data: Path) -> None:
+def test_a_frame_in_column_order_is_told_in_a_dump(tmp_path, real_data):
     source = Input.of(real_data / "ouster" / "rellis_frame000104.ply").records()
     assert source is not None
     names = ("x", "y", "z", "intensity")
@@ -196,7 +193,7 @@ def test_a_frame_in_column_order_is_told_in_a_dump(tmp_path: Path, real_data: Pa
 
 
 @pytest.mark.parametrize("has_rings", [True, False])
-def test_a_frame_on_other_axes_has_the_cells_of_its_own(has_rings: bool) -> None:
+def test_a_frame_on_other_axes_has_the_cells_of_its_own(has_rings):
     """Pitched by 6 degrees, z from the ground.
 
     Cells are those of the scanner, coordinates those of the input.

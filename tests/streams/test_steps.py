@@ -3,8 +3,6 @@
 The step is divided out, told, and no number is lost unseen.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -15,7 +13,7 @@ from tests.streams.record_lists import M, only, open_records, read, scene
 
 @pytest.mark.parametrize("name", ["scan_line", "column"])
 @pytest.mark.parametrize(("size", "phase"), [(1, 0), (2, 1), (10, 0), (176, 3)])
-def test_numbers_in_steps_give_the_same_lines(name: str, size: int, phase: int) -> None:
+def test_numbers_in_steps_give_the_same_lines(name, size, phase):
     image, records = scene()
     changed = {**records, name: records[name].astype(np.int64) * size + phase}
     stream = open_records(only(changed, "range", "scan_line", "column"), 100)
@@ -35,7 +33,7 @@ def columns_of(range_m: np.ndarray) -> np.ndarray:
     return _Kept(LabelledBlock(block, labels, np.empty(0, np.uint8))).columns
 
 
-def test_labels_are_judged_in_columns_that_hold_returns() -> None:
+def test_labels_are_judged_in_columns_that_hold_returns():
     image = np.full((40, 4 * MAX_COLUMNS), np.nan, np.float32)
     image[:, ::4] = 5.0
     columns = columns_of(image)

@@ -1,7 +1,5 @@
 """Times and trajectories."""
 
-from __future__ import annotations
-
 import builtins
 import math
 from pathlib import Path
@@ -70,7 +68,7 @@ def write_sbet(path: Path, rows: list[tuple[float, float, float, float]]) -> Pat
         ("time,x,y,z\n" + "1" * 70_000, "line 2: row of more than 65536 characters"),
     ],
 )
-def test_damaged_text_is_named(tmp_path: Path, text: str, message: str) -> None:
+def test_damaged_text_is_named(tmp_path, text, message):
     with pytest.raises(InputError) as caught:
         load(write(tmp_path / "drive.csv", text))
     assert message in str(caught.value)
@@ -79,7 +77,7 @@ def test_damaged_text_is_named(tmp_path: Path, text: str, message: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_sbet_is_projected_and_keeps_altitudes(tmp_path: Path) -> None:
+def test_sbet_is_projected_and_keeps_altitudes(tmp_path):
     pyproj = pytest.importorskip("pyproj")
     path = write_sbet(
         tmp_path / "drive.sbet",
@@ -108,12 +106,12 @@ def test_sbet_is_projected_and_keeps_altitudes(tmp_path: Path) -> None:
 )
 @pytest.mark.parametrize("form", ["code", "wkt1", "wkt2"])
 def test_heights_of_another_kind_never_pass_in_silence(
-    tmp_path: Path,
-    crs: str,
-    heights: str,
-    alone: str,
-    form: str,
-) -> None:
+    tmp_path,
+    crs,
+    heights,
+    alone,
+    form,
+):
     pyproj = pytest.importorskip("pyproj")
     path = write_sbet(tmp_path / "drive.sbet", SOUND)
     options = {
@@ -139,7 +137,7 @@ def test_heights_of_another_kind_never_pass_in_silence(
 SOUND = [(0.0, 1.0, 0.4, 3.0), (1.0, 1.0, 0.4, 3.0)]
 
 
-def test_sbet_without_a_coordinate_system(tmp_path: Path) -> None:
+def test_sbet_without_a_coordinate_system(tmp_path):
     with pytest.raises(ConfigError, match="set trajectory_crs, for example EPSG:32635"):
         load(write_sbet(tmp_path / "drive.sbet", SOUND))
 
@@ -152,7 +150,7 @@ def test_sbet_without_a_coordinate_system(tmp_path: Path) -> None:
         ("nonsense", "'nonsense' cannot be used"),
     ],
 )
-def test_sbet_with_an_unusable_coordinate_system(tmp_path: Path, crs: str, message: str) -> None:
+def test_sbet_with_an_unusable_coordinate_system(tmp_path, crs, message):
     pytest.importorskip("pyproj")
     with pytest.raises(ConfigError) as caught:
         load(write_sbet(tmp_path / "drive.sbet", SOUND), crs=crs)
@@ -160,9 +158,7 @@ def test_sbet_with_an_unusable_coordinate_system(tmp_path: Path, crs: str, messa
     assert "\n" not in str(caught.value)
 
 
-def test_sbet_without_pyproj_names_the_remedy(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_sbet_without_pyproj_names_the_remedy(tmp_path, monkeypatch):
     plain_import = builtins.__import__
 
     def no_pyproj(name: str, *args: Any) -> Any:
@@ -209,7 +205,7 @@ WEEK = 604_800.0
         (1e15, None),
     ],
 )
-def test_clocks_that_differ_by_weeks(offset: float, hint: str | None) -> None:
+def test_clocks_that_differ_by_weeks(offset, hint):
     path = track(*(300_000.0 + np.arange(17.0)).tolist())
     with pytest.raises(InputError) as refused:
         path.positions(300_003.0 + np.arange(11.0) + offset)
@@ -236,7 +232,7 @@ def test_clocks_that_differ_by_weeks(offset: float, hint: str | None) -> None:
         "time;x;y;z\n0.5;1.25;2;3\n1.5;2.25;2;3\n",
     ],
 )
-def test_decimals_behind_a_comma_are_found(tmp_path: Path, text: str) -> None:
+def test_decimals_behind_a_comma_are_found(tmp_path, text):
     path = load(write(tmp_path / "path.csv", text))
     np.testing.assert_allclose(path.time_s, [0.5, 1.5])
     np.testing.assert_allclose(path.positions(np.array([0.5, 1.5])), [[1.25, 2, 3], [2.25, 2, 3]])

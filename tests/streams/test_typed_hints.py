@@ -1,7 +1,5 @@
 """Every hint that can be typed is typed: one fault after the other, in LAS, text and PLY."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections.abc import Callable
@@ -183,9 +181,7 @@ def typed_by(said: str) -> list[list[str]]:
 
 @pytest.mark.parametrize("suffix", [".las", ".csv", pytest.param(".ply", marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", list(FAULTS))
-def test_a_hint_leads_on_when_typed(
-    name: str, suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_hint_leads_on_when_typed(name, suffix, tmp_path, capsys):
     fault = FAULTS[name]
     path = tmp_path / f"drive{suffix}"
     WRITERS[suffix](path, fault.alter(street()))

@@ -1,9 +1,7 @@
 """Range images: shapes, arrays beside the ranges, and every kind of wrong array."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,9 +59,7 @@ def refused(path: Path, rules: InputConfig = AUTO) -> str:
 @pytest.mark.parametrize("chunk", [1, 200])
 @pytest.mark.parametrize("clue", ["xyz", "angles", "M"])
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_rows_that_are_rings_are_exchanged(
-    tmp_path: Path, chunk: int, clue: str, order: Literal["C", "F"]
-) -> None:
+def test_rows_that_are_rings_are_exchanged(tmp_path, chunk, clue, order):
     """Rings x azimuth was taken for lines: PRC, or refused."""
     elevation = np.deg2rad(np.linspace(-25, 2, 16))
     azimuth = np.linspace(0, 2 * np.pi, 90)
@@ -112,7 +108,7 @@ def test_rows_that_are_rings_are_exchanged(
         ),
     ],
 )
-def test_arrays_that_are_no_range_image(tmp_path: Path, array: Any, message: str) -> None:
+def test_arrays_that_are_no_range_image(tmp_path, array, message):
     assert message in refused(save(tmp_path, array))
     name = "range_m"
     assert message.removeprefix("scan.npy: ") in refused(save_npz(tmp_path, **{name: array}))
@@ -145,9 +141,7 @@ def test_arrays_that_are_no_range_image(tmp_path: Path, array: Any, message: str
         ({"intensity": np.zeros((7, 5), object)}, "intensity: found an array of Python objects"),
     ],
 )
-def test_arrays_that_do_not_fit_the_ranges(
-    tmp_path: Path, beside: dict[str, Any], message: str
-) -> None:
+def test_arrays_that_do_not_fit_the_ranges(tmp_path, beside, message):
     assert refused(save_npz(tmp_path, range_m=image(), **beside)).startswith(f"scan.npz: {message}")
 
 
@@ -162,7 +156,7 @@ def test_arrays_that_do_not_fit_the_ranges(
         {"range": "dimension:range"},
     ],
 )
-def test_rules_that_an_image_cannot_follow(tmp_path: Path, keys: dict[str, Any]) -> None:
+def test_rules_that_an_image_cannot_follow(tmp_path, keys):
     with pytest.raises(ConfigError, match=f"input.{next(iter(keys))}: .*range image.*; leave"):
         ArrayStream(save(tmp_path, image()), InputConfig(**keys))
 
@@ -189,13 +183,13 @@ def test_rules_that_an_image_cannot_follow(tmp_path: Path, keys: dict[str, Any])
         (lambda raw: raw[:6] + b"\3\0" + raw[8:], "found npy format 3.0, expected 1.0 or 2.0"),
     ],
 )
-def test_damaged_npy(tmp_path: Path, change: Any, message: str) -> None:
+def test_damaged_npy(tmp_path, change, message):
     path = save(tmp_path, image())
     path.write_bytes(change(path.read_bytes()))
     assert message in refused(path)
 
 
-def test_a_file_that_shrinks_while_it_is_read(tmp_path: Path) -> None:
+def test_a_file_that_shrinks_while_it_is_read(tmp_path):
     path = save(tmp_path, np.ones((40_000, 5), np.float32))
     blocks = ArrayStream(path, AUTO, chunk_shots=5000).blocks()
     next(blocks)
@@ -204,7 +198,7 @@ def test_a_file_that_shrinks_while_it_is_read(tmp_path: Path) -> None:
         list(blocks)
 
 
-def test_a_file_that_changes_between_opening_and_reading(tmp_path: Path) -> None:
+def test_a_file_that_changes_between_opening_and_reading(tmp_path):
     path = save(tmp_path, image())
     stream = ArrayStream(path, AUTO)
     save(tmp_path, image(8))

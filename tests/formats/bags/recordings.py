@@ -1,7 +1,5 @@
 """Bags made by code: with the writers of rosbags and mcap."""
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Bags with the classes of their scans: what was there stays, and the labels read back equal."""
 
-from __future__ import annotations
-
 import errno
 from collections.abc import Callable
 from pathlib import Path
@@ -85,7 +83,7 @@ def by_topic(path: Path) -> dict[str, list[tuple[int, bytes]]]:
 
 
 @pytest.fixture
-def out(tmp_path: Path) -> Path:
+def out(tmp_path):
     folder = tmp_path / "out"
     folder.mkdir()
     return folder
@@ -93,9 +91,7 @@ def out(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("suffix", WRITE)
 @pytest.mark.parametrize("name", SENT)
-def test_labels_read_back_equal_and_all_else_stays(
-    tmp_path: Path, out: Path, name: str, suffix: str
-) -> None:
+def test_labels_read_back_equal_and_all_else_stays(tmp_path, out, name, suffix):
     source = recorded(tmp_path, name, suffix)
     output = out / f"drive{suffix}"
     codes = write(source, output)
@@ -114,7 +110,7 @@ def test_labels_read_back_equal_and_all_else_stays(
         assert first.scanner == second.scanner
 
 
-def test_rows_lose_their_padding_and_a_label_of_the_input_its_values() -> None:
+def test_rows_lose_their_padding_and_a_label_of_the_input_its_values():
     table = np.zeros(6, np.dtype([*made.POINT.descr, ("label", "<u2")]))
     table["x"] = np.arange(6)
     table["label"] = 7
@@ -134,9 +130,7 @@ def test_rows_lose_their_padding_and_a_label_of_the_input_its_values() -> None:
 
 
 @pytest.mark.parametrize("suffix", WRITE)
-def test_nothing_is_left_of_a_run_that_ends_early(
-    tmp_path: Path, out: Path, monkeypatch: pytest.MonkeyPatch, suffix: str
-) -> None:
+def test_nothing_is_left_of_a_run_that_ends_early(tmp_path, out, monkeypatch, suffix):
     source = recorded(tmp_path, "lasers", suffix)
 
     def full(*_: object) -> None:
@@ -157,9 +151,7 @@ def test_nothing_is_left_of_a_run_that_ends_early(
         (".db3", "zstd"),
     ],
 )
-def test_an_output_is_compressed_as_the_input_is(
-    tmp_path: Path, out: Path, suffix: str, packed: str
-) -> None:
+def test_an_output_is_compressed_as_the_input_is(tmp_path, out, suffix, packed):
     source = tmp_path / f"in{suffix}"
     if suffix == ".bag":
         made.write_bag(source, made.lasers(1), packed)
@@ -172,7 +164,7 @@ def test_an_output_is_compressed_as_the_input_is(
     assert Bag(out / source.name).packed == ("zstd" if packed and suffix != ".bag" else packed)
 
 
-def test_a_recording_in_several_files_is_one_stream(tmp_path: Path) -> None:
+def test_a_recording_in_several_files_is_one_stream(tmp_path):
     sent = made.lasers(2)
     folder = tmp_path / "split"
     folder.mkdir()

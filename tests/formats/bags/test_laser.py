@@ -1,7 +1,5 @@
 """Laser scans whose beams change, and lines in parts: all beams lie on one grid of angles."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -38,14 +36,12 @@ def clean(range_m: np.ndarray) -> np.ndarray:
     "changes",
     [{"angle_increment": 0.0}, {"angle_min": np.nan}, {"time_increment": np.inf}],
 )
-def test_angles_and_times_that_make_no_grid_are_refused(
-    tmp_path: Path, changes: dict[str, float]
-) -> None:
+def test_angles_and_times_that_make_no_grid_are_refused(tmp_path, changes):
     with pytest.raises(InputError, match="expected finite numbers"):
         read_parts(tmp_path, [(made.ranges()[0], changes)])
 
 
-def test_a_first_angle_that_is_a_step_off_moves_the_columns(tmp_path: Path) -> None:
+def test_a_first_angle_that_is_a_step_off_moves_the_columns(tmp_path):
     ranges = made.ranges()
     _, block = read_parts(
         tmp_path, [(row, {"angle_min": -1.5 + STEP * (k % 2)}) for k, row in enumerate(ranges)]
@@ -55,7 +51,7 @@ def test_a_first_angle_that_is_a_step_off_moves_the_columns(tmp_path: Path) -> N
     np.testing.assert_array_equal(block.range_m[1::2, 1:], clean(ranges[1::2]))
 
 
-def test_parts_of_a_line_join(tmp_path: Path) -> None:
+def test_parts_of_a_line_join(tmp_path):
     ranges = made.ranges()
     ranges[:, :2] = 0.1, 100.0
     parts = []

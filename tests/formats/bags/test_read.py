@@ -1,8 +1,6 @@
 """Bags: every message a scan line, whatever the container, and the same values as other readers
 get."""
 
-from __future__ import annotations
-
 import sqlite3
 import struct
 import sys
@@ -31,7 +29,7 @@ def read(path: Path, **changes: Any) -> tuple[BagStream, list[ScanBlock]]:
     return stream, list(stream.blocks())
 
 
-def test_echoes_are_returns(tmp_path: Path) -> None:
+def test_echoes_are_returns(tmp_path):
     lists = [[3.0, 5.0], [], [7.0], [0.01, 9.0], [200.0]]
     lit = [[1.0, 8.0], [], [2.0], [9.0, 1.0], [1.0]]
     path = made.write_bag(tmp_path / "echoes.bag", made.echoes(1, lists, lit, n=2))
@@ -46,7 +44,7 @@ def test_echoes_are_returns(tmp_path: Path) -> None:
     assert block.tally.n_records == 14
 
 
-def test_clouds_and_laser_scans_are_read_together_but_for_scans_of_a_cloud(tmp_path: Path) -> None:
+def test_clouds_and_laser_scans_are_read_together_but_for_scans_of_a_cloud(tmp_path):
     sent = [*made.clouds(made.drive()), *made.lasers(2), *made.lasers(2, "/of_cloud", "velodyne")]
     stream, blocks = read(made.write_mcap(tmp_path / "mixed.mcap", sent))
     assert {block.scanner: block.points_per_line for block in blocks} == {0: 8, 1: made.M}
@@ -61,9 +59,7 @@ def test_clouds_and_laser_scans_are_read_together_but_for_scans_of_a_cloud(tmp_p
 @pytest.mark.parametrize(
     ("name", "mend"), [("a.bag", "rosbag reindex"), ("a.mcap", "mcap recover")]
 )
-def test_a_bag_whose_recorder_crashed_names_the_command_that_mends_it(
-    tmp_path: Path, name: str, mend: str
-) -> None:
+def test_a_bag_whose_recorder_crashed_names_the_command_that_mends_it(tmp_path, name, mend):
     path = tmp_path / name
     if name == "a.bag":
         made.write_bag(path, made.lasers(1))
@@ -76,9 +72,7 @@ def test_a_bag_whose_recorder_crashed_names_the_command_that_mends_it(
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits are for Linux")
 @pytest.mark.parametrize("name", ["a.bag", "a.mcap"])
-def test_a_message_that_grows_beyond_measure_is_refused(
-    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_message_that_grows_beyond_measure_is_refused(tmp_path, name, monkeypatch):
     path = tmp_path / name
     version = 1 if name == "a.bag" else 2
     (long, *_) = made.lasers(version)
@@ -93,7 +87,7 @@ def test_a_message_that_grows_beyond_measure_is_refused(
 
 
 @pytest.mark.parametrize("name", ["a.bag", "a.mcap"])
-def test_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_the_extra_is_named(tmp_path, monkeypatch, name):
     for module in ("rosbags", "rosbags.rosbag1", "rosbags.rosbag2"):
         monkeypatch.setitem(sys.modules, module, None)
     (tmp_path / name).write_bytes(b"x")
@@ -103,7 +97,7 @@ def test_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, nam
         BagStream(tmp_path / name, InputConfig())
 
 
-def test_a_database_that_is_not_whole(tmp_path: Path) -> None:
+def test_a_database_that_is_not_whole(tmp_path):
     path = made.write_db3(tmp_path / "a.db3", made.lasers(2))
     data = path.read_bytes()
     (tmp_path / "a.db3-wal").write_bytes(b"more")
@@ -121,7 +115,7 @@ def test_a_database_that_is_not_whole(tmp_path: Path) -> None:
     ("step", "expected"),
     [(0.2, "0.2, expected about 0.0769231"), (-3.0 / 39, "-0.0769231")],
 )
-def test_set_ups_that_change_are_refused(tmp_path: Path, step: float, expected: str) -> None:
+def test_set_ups_that_change_are_refused(tmp_path, step, expected):
     sent = made.lasers(2)
     later = made.START_NS + 40 * made.PERIOD_NS
     odd = made.laser(made.STORES[2], later, made.ranges()[0], angle_increment=step)
@@ -130,7 +124,7 @@ def test_set_ups_that_change_are_refused(tmp_path: Path, step: float, expected: 
         read(path)
 
 
-def test_hostile_containers_end_in_one_line(tmp_path: Path) -> None:
+def test_hostile_containers_end_in_one_line(tmp_path):
     view = tmp_path / "view.db3"
     made.write_db3(view, made.lasers(2))
     base = sqlite3.connect(view)
@@ -150,7 +144,7 @@ def test_hostile_containers_end_in_one_line(tmp_path: Path) -> None:
             BagStream(tmp_path / name, InputConfig())
 
 
-def test_a_database_whose_pages_point_to_one_child() -> None:
+def test_a_database_whose_pages_point_to_one_child():
     """Some 10^13 rows in five pages."""
     with pytest.raises(InputError, match="damaged .row 1 comes after row 1"):
         BagStream(KEPT / "endless_topics.db3", InputConfig())
@@ -165,9 +159,7 @@ def test_a_database_whose_pages_point_to_one_child() -> None:
     ("name", "m", "missing"),
     [("40p", 40, 0.247), ("64", 64, 0.225), ("qt64", 64, 0.037), ("vlp32", 32, 0.499)],
 )
-def test_the_samples_of_every_model_have_the_points_of_another_decoder(
-    real_data: Path, name: str, m: int, missing: float
-) -> None:
+def test_the_samples_of_every_model_have_the_points_of_another_decoder(real_data, name, m, missing):
     """The points beside a bag are those of one of its scans, as tier4/nebula decodes them."""
     folder = real_data / "nebula" / name
     (path,) = folder.glob("*.db3")
@@ -197,7 +189,7 @@ def test_the_samples_of_every_model_have_the_points_of_another_decoder(
     assert np.isfinite(distance).mean() > 0.99
 
 
-def test_packets_of_a_message_have_records_of_their_own(tmp_path: Path) -> None:
+def test_packets_of_a_message_have_records_of_their_own(tmp_path):
     topic = Topic("/packets", VELODYNE, is_cdr=False)
     reader = _TopicReader(tmp_path / "a.bag", topic, {}, InputConfig())
     packets = vlp16(6)
@@ -212,7 +204,7 @@ def test_packets_of_a_message_have_records_of_their_own(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.sort(records), np.arange(6 * 384))
 
 
-def test_packets_of_an_ouster_need_its_metadata(tmp_path: Path) -> None:
+def test_packets_of_an_ouster_need_its_metadata(tmp_path):
     topic = Topic("/packets", OUSTER[1], is_cdr=False)
     reader = _TopicReader(tmp_path / "a.bag", topic, {}, InputConfig())
     data = struct.pack("<I", 3) + b"abc"

@@ -1,8 +1,6 @@
 """Clouds of bags: numbers of rings, units of times, pauses, times out of place, repeats, points
 without ring or time."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +58,7 @@ def in_unit(unit: float, kind: str, *, is_absolute: bool = False) -> Any:
         in_unit(1.0, "f8", is_absolute=True),
     ],
 )
-def test_the_turn_shows_the_unit_of_the_times(tmp_path: Path, change: Any) -> None:
+def test_the_turn_shows_the_unit_of_the_times(tmp_path, change):
     shots = made.drive(600)
     _, block = read_cloud(tmp_path, messages(shots, change))
     np.testing.assert_allclose(block.range_m, shots["range"].reshape(600, 8), rtol=1e-5)
@@ -68,7 +66,7 @@ def test_the_turn_shows_the_unit_of_the_times(tmp_path: Path, change: Any) -> No
     assert np.ptp(block.time_s) == pytest.approx(0.3, abs=1e-3)
 
 
-def test_the_unit_may_be_told(tmp_path: Path) -> None:
+def test_the_unit_may_be_told(tmp_path):
     shots = made.drive(400)
     sent = messages(shots, in_unit(1e-6, "f4"))
     stream, block = read_cloud(tmp_path, sent, time_unit="us")
@@ -77,7 +75,7 @@ def test_the_unit_may_be_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("pause_s", [5.0, 80.0, 4000.0])
-def test_a_pause_is_lines_without_returns(tmp_path: Path, pause_s: float) -> None:
+def test_a_pause_is_lines_without_returns(tmp_path, pause_s):
     shots = made.drive(600)
     stream, block = read_cloud(tmp_path, messages(shots, pause_s=pause_s))
     wanted = shots["range"].reshape(600, 8)
@@ -87,7 +85,7 @@ def test_a_pause_is_lines_without_returns(tmp_path: Path, pause_s: float) -> Non
     assert ("a pause" in stream.info.facts.notes[0]) == (pause_s > 50)
 
 
-def test_times_out_of_place_cost_only_their_own_points(tmp_path: Path) -> None:
+def test_times_out_of_place_cost_only_their_own_points(tmp_path):
     shots = made.drive(800)
     rng = np.random.default_rng(3)
 
@@ -102,7 +100,7 @@ def test_times_out_of_place_cost_only_their_own_points(tmp_path: Path) -> None:
     assert block.tally.n_unplaced < 0.01 * block.tally.n_records
 
 
-def test_a_first_message_with_wild_times_does_not_end_the_drive(tmp_path: Path) -> None:
+def test_a_first_message_with_wild_times_does_not_end_the_drive(tmp_path):
     shots = made.drive(800)
     number = iter(range(9))
 
@@ -117,7 +115,7 @@ def test_a_first_message_with_wild_times_does_not_end_the_drive(tmp_path: Path) 
     )
 
 
-def test_empty_points_may_have_no_time(tmp_path: Path) -> None:
+def test_empty_points_may_have_no_time(tmp_path):
     shots = made.drive(400)
     absolute = in_unit(1.0, "f8", is_absolute=True)
 
@@ -133,7 +131,7 @@ def test_empty_points_may_have_no_time(tmp_path: Path) -> None:
     assert block.tally.n_unplaced == 0
 
 
-def test_a_message_that_comes_twice_is_read_once_and_said(tmp_path: Path) -> None:
+def test_a_message_that_comes_twice_is_read_once_and_said(tmp_path):
     shots = made.drive(600)
     sent = messages(shots)
     again = messages(shots)
@@ -145,7 +143,7 @@ def test_a_message_that_comes_twice_is_read_once_and_said(tmp_path: Path) -> Non
     assert block.tally.n_records == 2 * np.isfinite(shots["range"]).sum()
 
 
-def test_points_without_times_lie_in_columns_of_their_azimuth(tmp_path: Path) -> None:
+def test_points_without_times_lie_in_columns_of_their_azimuth(tmp_path):
     shots = made.drive(600)
 
     def bare(points: np.ndarray, _: float) -> np.ndarray:
@@ -171,9 +169,7 @@ def test_points_without_times_lie_in_columns_of_their_azimuth(tmp_path: Path) ->
         (["x", "y", "z", "intensity", "tag", "line", "timestamp"], "has points of a Livox"),
     ],
 )
-def test_clouds_that_cannot_be_read_say_which_field_is_missing(
-    tmp_path: Path, names: list[str], expected: str
-) -> None:
+def test_clouds_that_cannot_be_read_say_which_field_is_missing(tmp_path, names, expected):
     kinds = [(name, "u1" if name in ("tag", "line") else "f4") for name in names]
     cloud = made.cloud(1, made.START_NS, np.ones(5, kinds))
     sent = made.Sent("/points", made.CLOUD, made.START_NS, cloud)
@@ -185,7 +181,7 @@ def test_clouds_that_cannot_be_read_say_which_field_is_missing(
         BagStream(path, InputConfig(topic="/points"))
 
 
-def test_fields_of_an_unknown_type_are_refused(tmp_path: Path) -> None:
+def test_fields_of_an_unknown_type_are_refused(tmp_path):
     sent = messages(made.drive(200))
     sent[0].message.fields[0].datatype = 99
     with pytest.raises(InputError, match="has fields of an unknown type"):
@@ -200,9 +196,7 @@ def test_fields_of_an_unknown_type_are_refused(tmp_path: Path) -> None:
         (100, "the points of a ring have one time"),
     ],
 )
-def test_two_scanners_in_one_cloud_are_refused(
-    tmp_path: Path, columns_of_a_time: int, problem: str
-) -> None:
+def test_two_scanners_in_one_cloud_are_refused(tmp_path, columns_of_a_time, problem):
     drive = made.drive(400, together=True)
     turned = {**drive, "xyz": drive["xyz"] @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])}
     both = {name: np.concatenate([values, turned[name]]) for name, values in drive.items()}
@@ -220,7 +214,7 @@ def test_two_scanners_in_one_cloud_are_refused(
         (np.array([0, 1, 5, 9, 20, 21, 40, 90]), "in their order"),
     ],
 )
-def test_numbers_of_rings_may_have_gaps(tmp_path: Path, numbers: np.ndarray, note: str) -> None:
+def test_numbers_of_rings_may_have_gaps(tmp_path, numbers, note):
     drive = made.drive(400, together=True)
     stream, block = read_cloud(tmp_path, messages({**drive, "ring": numbers[drive["ring"]]}))
     np.testing.assert_allclose(block.range_m, drive["range"].reshape(400, 8), rtol=1e-5)

@@ -1,9 +1,5 @@
 """Streams written as bags: simulated, classified and compared with their own classes."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -20,7 +16,7 @@ WALK = {"scanner": {"points_per_line": 400}, "lines": 200, "trajectory": {"stop_
 SUFFIXES = (".bag", ".mcap", ".db3")
 
 
-def test_what_no_message_can_hold(tmp_path: Path) -> None:
+def test_what_no_message_can_hold(tmp_path):
     with pytest.raises(ConfigError, match="a scan from a tripod"):
         simulate(
             "street-scan", tmp_path / "a.bag", load_settings("street-scan", options={"lines": 9})
@@ -42,9 +38,7 @@ def test_what_no_message_can_hold(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("value", [np.nan, -5.0, 1e12])
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_times_that_no_message_can_have_are_refused(
-    tmp_path: Path, suffix: str, value: float
-) -> None:
+def test_times_that_no_message_can_have_are_refused(tmp_path, suffix, value):
     source = tmp_path / "in.npz"
     times = np.arange(6.0)
     times[3] = value
@@ -56,7 +50,7 @@ def test_times_that_no_message_can_have_are_refused(
 
 
 @pytest.mark.parametrize("suffix", [".bag", ".mcap"])
-def test_a_spinning_scanner_becomes_clouds(tmp_path: Path, suffix: str) -> None:
+def test_a_spinning_scanner_becomes_clouds(tmp_path, suffix):
     scanner = {"name": "vlp-32c", "azimuth_step_deg": 1.4, "line_hz": 2570.0}
     settings = load_settings("street", options={"scanner": scanner, "duration_s": 0.2, "seed": 5})
     simulate("street", tmp_path / "spin.npz", settings)

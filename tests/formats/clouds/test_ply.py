@@ -1,7 +1,5 @@
 """PLY and PCD, read and written."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 
@@ -49,7 +47,7 @@ def read(source: Source, names: tuple[str, ...]) -> dict[str, Array]:
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_every_form_gives_the_same_values(tmp_path: Path, form: str) -> None:
+def test_every_form_gives_the_same_values(tmp_path, form):
     path = tmp_path / "a.ply"
     made = columns()
     path.write_bytes(ply(made, form))
@@ -60,7 +58,7 @@ def test_every_form_gives_the_same_values(tmp_path: Path, form: str) -> None:
         np.testing.assert_array_equal(values[name], made[stored])
 
 
-def test_returns_that_are_listed_again_are_not_shots(tmp_path: Path) -> None:
+def test_returns_that_are_listed_again_are_not_shots(tmp_path):
     """The list of a shot is written anew with every return that is added."""
     path = tmp_path / "a.ply"
     lists = {
@@ -94,9 +92,7 @@ def test_returns_that_are_listed_again_are_not_shots(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rows", [1, 7, 64, 1000])
-def test_shots_do_not_depend_on_chunks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows: int
-) -> None:
+def test_shots_do_not_depend_on_chunks(tmp_path, monkeypatch, rows):
     """A shot whose returns lie in two chunks is one shot, and no chunk waits for the next but for
     its last shot."""
     path = tmp_path / "a.ply"
@@ -140,7 +136,7 @@ RANGE = "property float range\n"
         (f"{VERTEX}property int a\nproperty int a\n", "second time"),
     ],
 )
-def test_headers_that_lie(tmp_path: Path, head: str, message: str) -> None:
+def test_headers_that_lie(tmp_path, head, message):
     path = tmp_path / "a.ply"
     path.write_bytes(f"ply\n{head}end_header\n1 2\n".encode())
     with pytest.raises(InputError, match=message):
@@ -151,7 +147,7 @@ def test_headers_that_lie(tmp_path: Path, head: str, message: str) -> None:
 @pytest.mark.parametrize(
     ("text", "message"), [(f"ply\n{VERTEX}", "no line end_header"), ("plx\n", "expected ply")]
 )
-def test_what_is_no_header(tmp_path: Path, text: str, message: str) -> None:
+def test_what_is_no_header(tmp_path, text, message):
     (tmp_path / "a.ply").write_text(text)
     with pytest.raises(InputError, match=message):
         opened(tmp_path / "a.ply")
@@ -159,7 +155,7 @@ def test_what_is_no_header(tmp_path: Path, text: str, message: str) -> None:
 
 @pytest.mark.data
 @pytest.mark.parametrize("number", [1, 4])
-def test_the_profiler_of_ign(real_data: Path, number: int) -> None:
+def test_the_profiler_of_ign(real_data, number):
     """The cells of the stream hold what plyfile reads, at the angle that the row says."""
     path = real_data / "riegl" / f"sample_riegl_18_0{number}.ply"
     row = PlyData.read(str(path))["vertex"].data
@@ -210,12 +206,12 @@ def pcd_columns() -> dict[str, Array]:
 )
 @pytest.mark.parametrize("data", DATA)
 def test_pcd_headers_that_lie(
-    tmp_path: Path,
-    data: str,
-    old: str,
-    new: str,
-    message: str,
-) -> None:
+    tmp_path,
+    data,
+    old,
+    new,
+    message,
+):
     path = tmp_path / "a.pcd"
     path.write_bytes(
         pcd(pcd_columns(), data, height=N_LINES).replace(old.encode(), new.encode(), 1)
@@ -230,7 +226,7 @@ def test_pcd_headers_that_lie(
         max_size=50,
     )
 )
-def test_lzf_is_what_its_tokens_say(tokens: list[bytes | tuple[int, int]]) -> None:
+def test_lzf_is_what_its_tokens_say(tokens):
     """Literals, and copies from so many bytes back of so many bytes."""
     packed = bytearray()
     data = bytearray(b"a")
@@ -249,7 +245,7 @@ def test_lzf_is_what_its_tokens_say(tokens: list[bytes | tuple[int, int]]) -> No
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_damaged_lzf_is_told(seed: int) -> None:
+def test_damaged_lzf_is_told(seed):
     rng = np.random.default_rng(seed)
     packed = lzf(rng.integers(0, 3, 900, np.uint8).tobytes())
     for _ in range(300):
@@ -261,7 +257,7 @@ def test_damaged_lzf_is_told(seed: int) -> None:
 
 @pytest.mark.parametrize("form", ["ascii", "binary_big_endian"])
 @pytest.mark.parametrize("suffix", [".ply", ".pcd"])
-def test_a_cloud_keeps_its_properties(tmp_path: Path, form: str, suffix: str) -> None:
+def test_a_cloud_keeps_its_properties(tmp_path, form, suffix):
     """Class, line and column are added to what was there; plyfile reads it."""
     line, column = np.divmod(np.arange(300, dtype=np.uint32), 20)
     made = {
@@ -284,9 +280,7 @@ def test_a_cloud_keeps_its_properties(tmp_path: Path, form: str, suffix: str) ->
 
 
 @pytest.mark.parametrize("has_faces", [False, True])
-def test_bytes_behind_the_points_are_told_unless_the_header_names_them(
-    tmp_path: Path, has_faces: bool
-) -> None:
+def test_bytes_behind_the_points_are_told_unless_the_header_names_them(tmp_path, has_faces):
     faces = "element face 1\nproperty list uchar int vertex_indices\n" if has_faces else ""
     head = (
         "ply\nformat binary_little_endian 1.0\nelement vertex 2\nproperty float "
@@ -299,7 +293,7 @@ def test_bytes_behind_the_points_are_told_unless_the_header_names_them(
     assert (note in opened(tmp_path / "a.ply").facts.notes) != has_faces
 
 
-def test_points_that_are_not_compressed_are_named(tmp_path: Path) -> None:
+def test_points_that_are_not_compressed_are_named(tmp_path):
     """A PCD that says compressed and holds plain points, as pypcd4 writes it."""
     made = {axis: np.arange(1000, dtype=np.float32) for axis in "xyz"}
     head, _, _ = pcd(made, "binary_compressed").partition(b"compressed\n")

@@ -1,7 +1,5 @@
 """E57 files."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -56,7 +54,7 @@ def ordered_fields(points: Array, name: str) -> dict[str, Array]:
 
 
 @pytest.mark.parametrize("name", ORDERS)
-def test_any_order_gives_the_same_lines(tmp_path: Path, name: str) -> None:
+def test_any_order_gives_the_same_lines(tmp_path, name):
     points = grid_points(9, 7)
     ranges, xyz = expected(points)
     fields = ordered_fields(points, name)
@@ -77,7 +75,7 @@ def test_any_order_gives_the_same_lines(tmp_path: Path, name: str) -> None:
     assert on_disk != (name in ("column by column", "rows in no order"))
 
 
-def test_registered_points_without_a_pose_take_the_place_of_the_scanner(tmp_path: Path) -> None:
+def test_registered_points_without_a_pose_take_the_place_of_the_scanner(tmp_path):
     points = grid_points(9, 7)
     place = np.array([4096.0, -8192.0, 32.0])  # no bit is lost in the sum
     points[..., :3] = np.round(points[..., :3] * 1024) / 1024
@@ -100,9 +98,7 @@ def test_registered_points_without_a_pose_take_the_place_of_the_scanner(tmp_path
 
 
 @pytest.mark.parametrize(("shots", "chunk"), [(1, 3), (20, 17), (70, 3)])
-def test_chunks_change_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shots: int, chunk: int
-) -> None:
+def test_chunks_change_nothing(tmp_path, monkeypatch, shots, chunk):
     points = grid_points(9, 7)
     fields = [*(ordered_fields(points, name) for name in ORDERS), e57_fields(grid_points(4, 12, 2))]
     scans = [Scan(item, rotation=(0.8, 0.4, 0.2, 0.4)) for item in fields]
@@ -138,9 +134,7 @@ COLUMN = "columnIndex"
         ({ROW: np.zeros(9, int)}, "found 150 points in column 0.*1 rows"),
     ],
 )
-def test_scans_that_are_no_images_are_refused(
-    tmp_path: Path, fields: dict[str, Array | None], message: str
-) -> None:
+def test_scans_that_are_no_images_are_refused(tmp_path, fields, message):
     changed = {**e57_fields(grid_points(3, 3, missing=0)), **fields}
     n_times = 50 if "150 points" in message else 1
     kept = {
@@ -151,7 +145,7 @@ def test_scans_that_are_no_images_are_refused(
     assert re.search(message, refused(write_e57(tmp_path / "a.e57", [Scan(kept)])))
 
 
-def test_a_file_without_scans_says_so(tmp_path: Path) -> None:
+def test_a_file_without_scans_says_so(tmp_path):
     path = write_e57(tmp_path / "a.e57", [])
     assert "no scans" in refused(path)
     path.write_bytes(replace_xml(path.read_bytes(), b"data3D", b"others"))
@@ -159,12 +153,12 @@ def test_a_file_without_scans_says_so(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("length", [0.0, 1e200])
-def test_what_is_no_rotation_is_refused(tmp_path: Path, length: float) -> None:
+def test_what_is_no_rotation_is_refused(tmp_path, length):
     scan = Scan(e57_fields(grid_points(3, 3)), rotation=(length, 0, 0, 0))
     assert "expected a quaternion of length 1" in refused(write_e57(tmp_path / "a.e57", [scan]))
 
 
-def test_a_file_that_changes_while_it_is_read_is_an_error(tmp_path: Path) -> None:
+def test_a_file_that_changes_while_it_is_read_is_an_error(tmp_path):
     path = write_e57(tmp_path / "a.e57", [Scan(e57_fields(grid_points(5, 4, missing=0)))])
     stream = E57Stream(path, AUTO)
     for changed in (

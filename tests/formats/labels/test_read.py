@@ -1,7 +1,5 @@
 """Label files, read and written."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 from typing import Any
@@ -46,11 +44,11 @@ def write_parquet(path: Path, **columns: Any) -> Path:
     [("record,class,name", None), ("record,Label,name", None), ("class,mine,name", "mine")],
 )
 def test_text(
-    tmp_path: Path,
-    header: str,
-    asked: str | None,
-    packed: str,
-) -> None:
+    tmp_path,
+    header,
+    asked,
+    packed,
+):
     rows = "".join(f"{k},{code},GROUND\n" for k, code in enumerate(CODES))
     path = tmp_path / f"codes.csv{packed}"
     content = f"{header}\n{rows}".encode()
@@ -59,7 +57,7 @@ def test_text(
 
 
 @pytest.mark.parametrize("kind", [pa.uint8(), pa.int64(), pa.uint64(), pa.float32()])
-def test_parquet(tmp_path: Path, kind: Any) -> None:
+def test_parquet(tmp_path, kind):
     path = write_parquet(
         tmp_path / "codes.parquet", record=range(6), **{"class": pa.array(CODES, kind)}
     )
@@ -88,18 +86,18 @@ def test_parquet(tmp_path: Path, kind: Any) -> None:
         (np.ones(0), "found shape (0,), expected (records,)"),
     ],
 )
-def test_arrays_that_are_no_codes(tmp_path: Path, values: Any, message: str) -> None:
+def test_arrays_that_are_no_codes(tmp_path, values, message):
     path = tmp_path / "codes.npy"
     np.save(path, np.asarray(values))
     assert refused(path).startswith(f"codes.npy: {message}")
 
 
-def test_an_image_of_codes_is_read_line_by_line(tmp_path: Path) -> None:
+def test_an_image_of_codes_is_read_line_by_line(tmp_path):
     np.save(tmp_path / "codes.npy", np.reshape(CODES, (2, 3)))
     assert read(tmp_path / "codes.npy") == CODES
 
 
-def test_rows_of_a_label_file_must_be_in_record_order(tmp_path: Path) -> None:
+def test_rows_of_a_label_file_must_be_in_record_order(tmp_path):
     path = tmp_path / "labels.csv"
     path.write_text("record,class,name\n0,2,ground\n1,6,building\n2,7,noise\n")
     assert np.concatenate(list(open_codes(path).codes())).tolist() == [2, 6, 7]
@@ -113,7 +111,7 @@ NAMED_CODES = [2, 6, 65, -1, 40, 3]
 
 
 @pytest.mark.parametrize("head", ["class", "record,x,class", "record;LABEL;y"])
-def test_names_of_classes_in_text_are_codes(tmp_path: Path, head: str) -> None:
+def test_names_of_classes_in_text_are_codes(tmp_path, head):
     """The names stand in the column of the header that is no ``x``."""
     delimiter = ";" if ";" in head else ","
     kinds = head.split(delimiter)
@@ -126,13 +124,13 @@ def test_names_of_classes_in_text_are_codes(tmp_path: Path, head: str) -> None:
     assert read(path) == NAMED_CODES
 
 
-def test_names_of_classes_in_parquet_are_codes(tmp_path: Path) -> None:
+def test_names_of_classes_in_parquet_are_codes(tmp_path):
     names = pa.array([name or None for name in NAMED])
     for labels in (names, names.dictionary_encode()):
         assert read(write_parquet(tmp_path / "a.parquet", label=labels)) == NAMED_CODES
 
 
-def test_unknown_names_of_classes_are_refused_with_the_known_ones(tmp_path: Path) -> None:
+def test_unknown_names_of_classes_are_refused_with_the_known_ones(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("class\nground\nroof tile\n", encoding="utf-8")
     expected = (

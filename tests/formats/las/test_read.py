@@ -1,7 +1,5 @@
 """LAS and LAZ, read: every dimension as laspy has it, and headers that lie."""
 
-from __future__ import annotations
-
 import math
 import struct
 from pathlib import Path
@@ -57,9 +55,7 @@ def expected(las: laspy.LasData, name: str) -> np.ndarray[Any, Any]:
 
 @pytest.mark.parametrize("suffix", ["las", "laz"])
 @pytest.mark.parametrize("point_format", range(11))
-def test_every_dimension_of_every_point_format(
-    tmp_path: Path, point_format: int, suffix: str
-) -> None:
+def test_every_dimension_of_every_point_format(tmp_path, point_format, suffix):
     path = tmp_path / f"drive.{suffix}"
     make(
         path,
@@ -86,9 +82,7 @@ def test_every_dimension_of_every_point_format(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("first_pair", [0, 60_000, None])
-def test_spared_intensity_is_there_wherever_it_may_decide(
-    tmp_path: Path, first_pair: int | None
-) -> None:
+def test_spared_intensity_is_there_wherever_it_may_decide(tmp_path, first_pair):
     n = 120_001
     number = np.ones(n, np.uint8)
     if first_pair is not None:
@@ -120,7 +114,7 @@ def test_spared_intensity_is_there_wherever_it_may_decide(
     np.testing.assert_array_equal(*kept)
 
 
-def test_scaled_extra_bytes_and_no_data(tmp_path: Path) -> None:
+def test_scaled_extra_bytes_and_no_data(tmp_path):
     extra = [
         laspy.ExtraBytesParams("range", "u2", scales=[0.005], offsets=[1.0], no_data=[0]),
         laspy.ExtraBytesParams("scan_line", "i4", no_data=[-1]),
@@ -157,11 +151,11 @@ def test_scaled_extra_bytes_and_no_data(tmp_path: Path) -> None:
     ],
 )
 def test_extra_bytes_of_usual_names(
-    tmp_path: Path,
-    name: str,
-    description: str,
-    radians: float,
-) -> None:
+    tmp_path,
+    name,
+    description,
+    radians,
+):
     """An angle beside range, line and column was renamed and ignored.
 
     PRC, exit 0, ground F1 .50 for .99.
@@ -213,19 +207,19 @@ def refused(path: Path) -> str:
     ],
 )
 def test_a_header_that_lies(
-    tmp_path: Path,
-    offset: int,
-    layout: str,
-    value: float,
-    message: str,
-) -> None:
+    tmp_path,
+    offset,
+    layout,
+    value,
+    message,
+):
     path = tmp_path / "a.las"
     make(path, 1, vlrs=(vlr_bytes(b"me", 7, b""),))
     patch(path, offset, layout, value)
     assert refused(path).startswith(message)
 
 
-def test_a_file_that_shrinks_while_it_is_read(tmp_path: Path) -> None:
+def test_a_file_that_shrinks_while_it_is_read(tmp_path):
     path = tmp_path / "a.las"
     make(path, 1)
     chunks = LasSource(path, 50).chunks(("x",))
@@ -239,9 +233,7 @@ def test_a_file_that_shrinks_while_it_is_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", ["las", "laz"])
 @pytest.mark.parametrize("point_format", range(6))
-def test_the_legacy_count_of_a_1_4_file_is_taken_where_it_may_be(
-    tmp_path: Path, point_format: int, suffix: str
-) -> None:
+def test_the_legacy_count_of_a_1_4_file_is_taken_where_it_may_be(tmp_path, point_format, suffix):
     path = tmp_path / f"a.{suffix}"
     las = make(path, point_format, minor=4)
     assert not any("legacy" in note for note in LasSource(path).notes)
@@ -259,7 +251,7 @@ def test_the_legacy_count_of_a_1_4_file_is_taken_where_it_may_be(
     assert refused(path).startswith("byte 247: the header says 0 records")
 
 
-def test_extra_bytes_that_make_no_sense(tmp_path: Path) -> None:
+def test_extra_bytes_that_make_no_sense(tmp_path):
     path = tmp_path / "a.las"
     make(path, 1, extra=[laspy.ExtraBytesParams("range", "u2", scales=[0.01], offsets=[0.0])])
     good = path.read_bytes()
@@ -295,7 +287,7 @@ def laz(path: Path, point_format: int, n: int = 120_000) -> tuple[bytes, int, in
     return raw, start, struct.unpack_from("<q", raw, start)[0]
 
 
-def test_chunk_table_that_lies(tmp_path: Path) -> None:
+def test_chunk_table_that_lies(tmp_path):
     path = tmp_path / "a.laz"
     raw, start, table = laz(path, 6)
     for count in (0, 2**32 - 1):
@@ -316,7 +308,7 @@ def test_chunk_table_that_lies(tmp_path: Path) -> None:
         assert "chunk table" in refused(path)
 
 
-def test_laszip_vlr_that_lies(tmp_path: Path) -> None:
+def test_laszip_vlr_that_lies(tmp_path):
     path = tmp_path / "a.laz"
     make(path, 6)
     raw = path.read_bytes()
@@ -343,11 +335,11 @@ def test_laszip_vlr_that_lies(tmp_path: Path) -> None:
     ("name", "read_as", "factor"), [("range_mm", "range", 0.001), ("level", "level", 1.0)]
 )
 def test_extra_bytes_with_an_offset_alone_have_it_in_their_unit(
-    tmp_path: Path,
-    name: str,
-    read_as: str,
-    factor: float,
-) -> None:
+    tmp_path,
+    name,
+    read_as,
+    factor,
+):
     path = tmp_path / "a.las"
     las = make(
         path, 6, n=5, extra=[laspy.ExtraBytesParams(name, "i4", scales=[1.0], offsets=[500.0])]

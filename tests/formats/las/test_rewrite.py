@@ -3,8 +3,6 @@
 Only the class and requested dimensions change; a record for every return.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path
@@ -63,11 +61,11 @@ def rewrite(
 @pytest.mark.parametrize(("before", "after"), [(".las", ".laz"), (".laz", ".las")])
 @pytest.mark.parametrize("form", range(11))
 def test_only_the_class_changes(
-    tmp_path: Path,
-    form: int,
-    before: str,
-    after: str,
-) -> None:
+    tmp_path,
+    form,
+    before,
+    after,
+):
     source = tmp_path / f"in{before}"
     output = tmp_path / f"out{after}"
     minor = 4 if form in (1, 5, 6, 7, 8, 9, 10) else None
@@ -97,7 +95,7 @@ def test_only_the_class_changes(
 
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 @pytest.mark.parametrize("form", range(6))
-def test_codes_above_31_upgrade_the_format(tmp_path: Path, form: int, suffix: str) -> None:
+def test_codes_above_31_upgrade_the_format(tmp_path, form, suffix):
     source = tmp_path / "in.las"
     output = tmp_path / f"out{suffix}"
     old = make_las(
@@ -136,7 +134,7 @@ def _same_dimensions(source: Path, output: Path) -> None:
 # ---- extra bytes
 
 
-def test_an_extra_dimension_of_another_type_is_refused(tmp_path: Path) -> None:
+def test_an_extra_dimension_of_another_type_is_refused(tmp_path):
     source = tmp_path / "in.las"
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.add_extra_dim(laspy.ExtraBytesParams("segment_id", "u2"))
@@ -153,9 +151,7 @@ def test_an_extra_dimension_of_another_type_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("extra", [(), EXTRA])
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
-def test_segments_are_added_behind_what_is_there(
-    tmp_path: Path, suffix: str, extra: tuple[laspy.ExtraBytesParams, ...]
-) -> None:
+def test_segments_are_added_behind_what_is_there(tmp_path, suffix, extra):
     source = tmp_path / f"in{suffix}"
     make_las(source, 6, extra=extra)
     segments = np.random.default_rng(2).integers(0, 1 << 20, 300)
@@ -172,7 +168,7 @@ def test_segments_are_added_behind_what_is_there(
 
 
 @pytest.mark.parametrize("after", [".las", ".laz"])
-def test_waveforms_of_several_channels_are_not_spoilt(tmp_path: Path, after: str) -> None:
+def test_waveforms_of_several_channels_are_not_spoilt(tmp_path, after):
     """laszip's third version mixes up waveform packets of several scanner channels."""
     source = tmp_path / "in.las"
     output = tmp_path / f"out{after}"
@@ -189,7 +185,7 @@ def test_waveforms_of_several_channels_are_not_spoilt(tmp_path: Path, after: str
     assert list(tmp_path.iterdir()) == [source]
 
 
-def test_a_changed_input_is_noticed(tmp_path: Path) -> None:
+def test_a_changed_input_is_noticed(tmp_path):
     source = tmp_path / "in.las"
     make_las(source, 6)
     with writer(tmp_path / "out.las", source) as opened:
@@ -198,7 +194,7 @@ def test_a_changed_input_is_noticed(tmp_path: Path) -> None:
             opened.finish(run_record())
 
 
-def test_a_record_too_long_for_a_vlr_is_shortened_there_only(tmp_path: Path) -> None:
+def test_a_record_too_long_for_a_vlr_is_shortened_there_only(tmp_path):
     source = tmp_path / "in.las"
     output = tmp_path / "out.las"
     make_las(source, 6)
@@ -214,7 +210,7 @@ def test_a_record_too_long_for_a_vlr_is_shortened_there_only(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("form", range(6))
-def test_five_bits_hold_code_31_and_not_32(form: int) -> None:
+def test_five_bits_hold_code_31_and_not_32(form):
     records = np.full((2, standard_bytes(form)), 0xFF, np.uint8)
     set_classes(records, form, np.array([31, 0], np.uint8))
     assert records[:, 15].tolist() == [0xFF, 0xE0]
@@ -252,7 +248,7 @@ def named(path: Path, data: bytes) -> Path:
 
 @pytest.mark.parametrize("form", [1, 6])
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
-def test_copies_hold_them_and_all_else_stays(tmp_path: Path, form: int, suffix: str) -> None:
+def test_copies_hold_them_and_all_else_stays(tmp_path, form, suffix):
     source = tmp_path / f"in{suffix}"
     out = tmp_path / f"out{suffix}"
     make_las(source, form)
@@ -264,7 +260,7 @@ def test_copies_hold_them_and_all_else_stays(tmp_path: Path, form: int, suffix: 
     assert parse(out).records.tobytes() == plain.records.tobytes()
 
 
-def test_names_of_the_input_are_kept_and_joined(tmp_path: Path) -> None:
+def test_names_of_the_input_are_kept_and_joined(tmp_path):
     before = struct.pack("<B15sB15sB15s", 70, b"Rail \xe4", 65, b"car", 65, b"again")
     out = tmp_path / "out.laz"
     record = write(out, named(tmp_path / "in.laz", before), STEMS, user_names=NAMES)
@@ -277,14 +273,14 @@ def test_names_of_the_input_are_kept_and_joined(tmp_path: Path) -> None:
     assert parse(tmp_path / "again.laz").kept_vlrs() == parse(out).kept_vlrs()
 
 
-def test_another_name_gives_way_and_is_told(tmp_path: Path) -> None:
+def test_another_name_gives_way_and_is_told(tmp_path):
     source = named(tmp_path / "in.las", struct.pack("<B15s", 64, b"Rail"))
     record = write(tmp_path / "out.las", source, STEMS, user_names=NAMES)
     assert entries(tmp_path / "out.las") == NAMES
     assert "class 64 was named 'Rail' in the input; its name is now 'stem'" in record.notices
 
 
-def test_xyz_time_intensity_and_scanner(tmp_path: Path) -> None:
+def test_xyz_time_intensity_and_scanner(tmp_path):
     rng = np.random.default_rng(4)
     shape = (12, 30)
     ranges = rng.uniform(0.1, 80, shape).astype(np.float32)
@@ -321,9 +317,7 @@ def test_xyz_time_intensity_and_scanner(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("before", "after"), [(".las", ".laz"), (".laz", ".laz"), (".las", ".las")]
 )
-def test_texts_that_are_none_are_written_so_that_others_can_read_the_file(
-    tmp_path: Path, before: str, after: str
-) -> None:
+def test_texts_that_are_none_are_written_so_that_others_can_read_the_file(tmp_path, before, after):
     source = tmp_path / f"in{before}"
     output = tmp_path / f"out{after}"
     vlrs = (
@@ -344,14 +338,14 @@ def test_texts_that_are_none_are_written_so_that_others_can_read_the_file(
     )
 
 
-def test_lines_without_coordinates_lie_apart_and_it_is_told(tmp_path: Path) -> None:
+def test_lines_without_coordinates_lie_apart_and_it_is_told(tmp_path):
     record = write(tmp_path / "a.las", Path("drive.bin"), STEMS)
     start = "the input has no coordinates; nor angles: scan planes lie flat"
     assert any(notice.startswith(start) for notice in record.notices)
     assert len(np.unique(laspy.read(tmp_path / "a.las").z)) == N // 20
 
 
-def test_degrees_are_written_in_fine_steps(tmp_path: Path) -> None:
+def test_degrees_are_written_in_fine_steps(tmp_path):
     degrees = np.random.default_rng(1).uniform((25, 60, 0), (25.001, 60.001, 9), (N // 20, 20, 3))
     places = Coordinates(degrees, np.empty((0, 3)))
     record = write(tmp_path / "a.las", Path("drive.bin"), STEMS, place=lambda _: places)

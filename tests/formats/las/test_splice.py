@@ -1,7 +1,5 @@
 """New classes in LAZ chunks: the same bytes as from compressing everything again."""
 
-from __future__ import annotations
-
 import io
 import os
 import struct
@@ -89,7 +87,7 @@ def labelled_copy(source: Path, output: Path) -> tuple[Parsed, np.ndarray]:
     return parse(output), ClassCodes().lookup()[labels]
 
 
-def test_records_have_the_contexts_that_they_were_made_of() -> None:
+def test_records_have_the_contexts_that_they_were_made_of():
     records = records_of(np.arange(8, dtype=np.uint8))
     assert contexts_of(records).tolist() == list(range(8))
     assert (records[:, 15] >> 4).tolist() == 2 * [0, 1, 2, 3]
@@ -100,12 +98,12 @@ def test_records_have_the_contexts_that_they_were_made_of() -> None:
 )
 @pytest.mark.parametrize("form", [6, 7, 8])
 def test_bytes_are_those_of_compressing_everything(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    form: int,
-    n: int,
-    chunk_points: int,
-) -> None:
+    tmp_path,
+    monkeypatch,
+    form,
+    n,
+    chunk_points,
+):
     source = tmp_path / "in.laz"
     old = make_laz(source, form, n, chunk_points, seed=form)
     assert chunks_of(source) is not None
@@ -120,9 +118,7 @@ def test_bytes_are_those_of_compressing_everything(
 
 
 @pytest.mark.parametrize(("offset", "lie"), [(0, 49), (4, 3_000_000)])
-def test_chunks_whose_heads_lie_are_left_to_the_decoder(
-    tmp_path: Path, offset: int, lie: int
-) -> None:
+def test_chunks_whose_heads_lie_are_left_to_the_decoder(tmp_path, offset, lie):
     """The number of records of a chunk, or the length of a layer."""
     source = tmp_path / "in.laz"
     make_laz(source, 6, 200, 50)
@@ -136,7 +132,7 @@ def test_chunks_whose_heads_lie_are_left_to_the_decoder(
 
 
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
-def test_an_input_that_changes_between_the_readings_is_refused(tmp_path: Path, suffix: str) -> None:
+def test_an_input_that_changes_between_the_readings_is_refused(tmp_path, suffix):
     source = tmp_path / f"in{suffix}"
     output = tmp_path / f"out{suffix}"
     make_las(source, 6)
@@ -196,11 +192,11 @@ def classify_again(
 @pytest.mark.parametrize("damaged", [False, True])
 @pytest.mark.parametrize("seed", range(4))
 def test_three_ways_to_the_same_bytes(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    seed: int,
-    damaged: bool,
-) -> None:
+    tmp_path,
+    monkeypatch,
+    seed,
+    damaged,
+):
     rng = np.random.default_rng(seed)
     source = tmp_path / "in.laz"
     random_laz(source, rng)

@@ -1,7 +1,5 @@
 """Captures made by code: frames of datagrams, in pcap and pcapng."""
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path

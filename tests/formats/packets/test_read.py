@@ -3,8 +3,6 @@
 Every cell as independent decoders have it, whatever the capture.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Callable
@@ -34,7 +32,7 @@ def same(a: ScanBlock, b: ScanBlock, *, times: bool = True) -> None:
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
 
 
-def test_captures_of_every_kind_are_the_same(tmp_path: Path) -> None:
+def test_captures_of_every_kind_are_the_same(tmp_path):
     packets = made.vlp16()
     frames = made.framed(packets)
     _, plain = read(made.write_pcap(tmp_path / "a.pcap", frames))
@@ -65,7 +63,7 @@ def test_captures_of_every_kind_are_the_same(tmp_path: Path) -> None:
         same(plain, read(again)[1], times=False)
 
 
-def test_fragments_are_put_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fragments_are_put_together(tmp_path, monkeypatch):
     packets = made.vlp16()
     _, plain = read(made.write_pcap(tmp_path / "a.pcap", made.framed(packets)))
     frames = []
@@ -89,7 +87,7 @@ def test_fragments_are_put_together(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     same(plain, read(made.write_pcap(tmp_path / "d.pcap", mixed))[1])
 
 
-def test_packets_that_overtook_each_other_are_put_in_order(tmp_path: Path) -> None:
+def test_packets_that_overtook_each_other_are_put_in_order(tmp_path):
     frames = made.framed(made.vlp16())
     _, whole = read(made.write_pcap(tmp_path / "a.pcap", frames))
     swapped = [*frames[:5], frames[6], frames[5], *frames[7:]]
@@ -102,7 +100,7 @@ def test_packets_that_overtook_each_other_are_put_in_order(tmp_path: Path) -> No
     "profile",
     ["LEGACY", "RNG19_RFL8_SIG16_NIR16", "RNG15_RFL8_NIR8", "RNG19_RFL8_SIG16_NIR16_DUAL"],
 )
-def test_ouster_columns_are_destaggered_in_angle_not_in_time(tmp_path: Path, profile: str) -> None:
+def test_ouster_columns_are_destaggered_in_angle_not_in_time(tmp_path, profile):
     table, packets = made.ouster(profile)
     path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets, 7502))
     path.with_suffix(".json").write_text(json.dumps(table))
@@ -130,9 +128,7 @@ def test_ouster_columns_are_destaggered_in_angle_not_in_time(tmp_path: Path, pro
 
 
 @pytest.mark.parametrize(("first", "last", "every"), [(0, 119, 120), (10, 99, 92)])
-def test_ouster_columns_outside_the_window_are_not_read(
-    tmp_path: Path, first: int, last: int, every: int
-) -> None:
+def test_ouster_columns_outside_the_window_are_not_read(tmp_path, first, last, every):
     table, packets = made.ouster(good=128)
     table["data_format"]["column_window"] = [first, last]
     path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets, 7502))
@@ -161,9 +157,7 @@ def test_ouster_columns_outside_the_window_are_not_read(
         ({"columns_per_frame": "x"}, "found x, expected a whole number from 1 to 4096"),
     ],
 )
-def test_metadata_that_do_not_fit_are_refused(
-    tmp_path: Path, changes: dict[str, Any], message: str
-) -> None:
+def test_metadata_that_do_not_fit_are_refused(tmp_path, changes, message):
     table, packets = made.ouster()
     for part in (table, table["data_format"]):
         part.update({name: value for name, value in changes.items() if name in part})
@@ -173,7 +167,7 @@ def test_metadata_that_do_not_fit_are_refused(
         PacketStream(path, InputConfig())
 
 
-def test_metadata_that_are_not_there_are_asked_for(tmp_path: Path) -> None:
+def test_metadata_that_are_not_there_are_asked_for(tmp_path):
     path = made.write_pcap(tmp_path / "a.pcap", made.framed(made.ouster()[1], 7502))
     with pytest.raises(InputError, match="metadata") as caught:
         PacketStream(path, InputConfig())
@@ -204,9 +198,7 @@ XT16 = made.hesai("XT16")[0][0]
         (made.vlp16(5) + made.vlp16(5, mode=0x38), "return mode 0x38 after 0x22 and 0x37"),
     ],
 )
-def test_packets_that_cannot_be_read_are_named(
-    tmp_path: Path, packets: list[bytes], message: str
-) -> None:
+def test_packets_that_cannot_be_read_are_named(tmp_path, packets, message):
     with pytest.raises(InputError, match=message):
         read(made.write_pcap(tmp_path / "a.pcap", made.framed(packets)))
 
@@ -221,7 +213,7 @@ def test_packets_that_cannot_be_read_are_named(
         ),
     ],
 )
-def test_what_is_no_capture_is_refused(tmp_path: Path, data: bytes, message: str) -> None:
+def test_what_is_no_capture_is_refused(tmp_path, data, message):
     (tmp_path / "a.pcap").write_bytes(data)
     with pytest.raises(InputError, match=message):
         PacketStream(tmp_path / "a.pcap", InputConfig())
@@ -250,7 +242,7 @@ def compare(
 
 
 @pytest.mark.parametrize("model", [0x21, 0x22, 0x24, 0x28, 0xA1, 0x40])
-def test_every_velodyne_is_what_velodyne_decoder_reads(tmp_path: Path, model: int) -> None:
+def test_every_velodyne_is_what_velodyne_decoder_reads(tmp_path, model):
     packets = made.velodyne(30, model, firings=2 if model in (0x22, 0x24) else 1)
     path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets))
     config = velodyne_decoder.Config(min_range=0, max_range=1000)
@@ -277,7 +269,7 @@ def test_every_velodyne_is_what_velodyne_decoder_reads(tmp_path: Path, model: in
 
 @pytest.mark.parametrize("name", made.HESAI)
 @pytest.mark.parametrize("mode", [0x37, 0x39])
-def test_every_hesai_has_the_distances_of_its_packets(tmp_path: Path, name: str, mode: int) -> None:
+def test_every_hesai_has_the_distances_of_its_packets(tmp_path, name, mode):
     packets, units = made.hesai(name, 40, mode=mode, column_us=COLUMNS_US.get(name, 50.0))
     path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets))
     stream, block = read(path, **{"return": "last"})

@@ -1,9 +1,5 @@
 """Raw dumps: any layout, any chunks, and every way a file can be cut short."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -38,7 +34,7 @@ WIDE = Layout(
         ),
     ],
 )
-def test_short_files_are_refused_when_opened(tmp_path: Path, content: bytes, message: str) -> None:
+def test_short_files_are_refused_when_opened(tmp_path, content, message):
     path = tmp_path / "short.raw"
     path.write_bytes(content)
     with pytest.raises(InputError) as caught:
@@ -47,7 +43,7 @@ def test_short_files_are_refused_when_opened(tmp_path: Path, content: bytes, mes
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_that_shrinks_while_it_is_read(tmp_path: Path) -> None:
+def test_a_file_that_shrinks_while_it_is_read(tmp_path):
     path = tmp_path / "shrinks.bin"
     np.arange(1, 11, dtype=np.float32).tofile(path)
     source = RawBinarySource(path, RANGES_ONLY, 4)

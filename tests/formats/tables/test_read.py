@@ -1,7 +1,5 @@
 """Arrays and Parquet files as columns of records."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +23,7 @@ def columns(path: Path, *names: str) -> dict[str, F64]:
     return {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}
 
 
-def test_parquet(tmp_path: Path) -> None:
+def test_parquet(tmp_path):
     table = pa.table(
         {"line": [1, 2], "name": ["a", "b"], "range_m": [1.5, None], "range": [7.0, 8.0]}
     )
@@ -43,7 +41,7 @@ def test_parquet(tmp_path: Path) -> None:
     np.testing.assert_allclose(values["angle"], [np.pi / 2, np.pi])
 
 
-def test_what_cannot_be_read(tmp_path: Path) -> None:
+def test_what_cannot_be_read(tmp_path):
     assert open_table(tmp_path / "a.label") is None
     (tmp_path / "a.parquet").write_bytes(b"PAR1 and no more")
     with pytest.raises(InputError, match="no whole Parquet file"):

@@ -1,7 +1,5 @@
 """Lines before the rows, as NumPy, CloudCompare, MATLAB, Excel and R write them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -48,12 +46,12 @@ def write(
     ],
 )
 def test_names_are_found(
-    tmp_path: Path,
-    head: str,
-    delimiter: str,
-    line: int,
-    suffix: str,
-) -> None:
+    tmp_path,
+    head,
+    delimiter,
+    line,
+    suffix,
+):
     source = TextSource(write(tmp_path / f"a{suffix}", head, delimiter))
     assert source.text.header_line == line
     values = next(iter(source.chunks(NAMES))).values
@@ -62,7 +60,7 @@ def test_names_are_found(
 
 
 @pytest.mark.parametrize("suffix", [".xyz", ".asc", ".pts", ".txt"])
-def test_a_count_of_rows_is_no_row(tmp_path: Path, suffix: str) -> None:
+def test_a_count_of_rows_is_no_row(tmp_path, suffix):
     source = TextSource(write(tmp_path / f"a{suffix}", "30\n"))
     assert sum(chunk.n for chunk in source.chunks(source.dimensions)) == 30
 
@@ -80,7 +78,7 @@ def test_a_count_of_rows_is_no_row(tmp_path: Path, suffix: str) -> None:
         ("wall", "write nan"),
     ],
 )
-def test_a_cell_that_is_no_number_gets_its_own_hint(tmp_path: Path, cell: str, hint: str) -> None:
+def test_a_cell_that_is_no_number_gets_its_own_hint(tmp_path, cell, hint):
     rows = [f"{i},{i}.5" for i in range(60)]
     rows[7] = f"7,{cell}"
     (tmp_path / "a.csv").write_text("scan_line,range\n" + "\n".join(rows) + "\n")
@@ -90,7 +88,7 @@ def test_a_cell_that_is_no_number_gets_its_own_hint(tmp_path: Path, cell: str, h
 
 
 @pytest.mark.parametrize("word", ["NA", "N/A", "NULL", "None", "#N/A", "nan", ""])
-def test_words_for_nothing_are_missing(tmp_path: Path, word: str) -> None:
+def test_words_for_nothing_are_missing(tmp_path, word):
     rows = [f"{i},{word if i % 3 == 0 else i}" for i in range(60)]
     (tmp_path / "a.csv").write_text("scan_line,range\n" + "\n".join(rows) + "\n")
     (chunk,) = TextSource(tmp_path / "a.csv").chunks(("range",))

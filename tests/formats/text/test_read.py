@@ -1,8 +1,6 @@
 """Text files: detection of the dialect, values independent of blocks, and line numbers of
 errors."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 from typing import Any
@@ -68,12 +66,12 @@ CELLS = st.sampled_from(["", "nan", "1", "-2.5", "1e3", " 7 ", "+4", "inf", '"8"
     delimiter=st.sampled_from([",", ";"]),
 )
 def test_values_do_not_depend_on_blocks(
-    tmp_path_factory: pytest.TempPathFactory,
-    rows: list[tuple[str, str]],
-    between: list[str],
-    block: int,
-    delimiter: str,
-) -> None:
+    tmp_path_factory,
+    rows,
+    between,
+    block,
+    delimiter,
+):
     lines = [f"{a}{delimiter}{b}\n{gap}" for (a, b), gap in zip(rows, between, strict=False)]
     path = write(tmp_path_factory.mktemp("text"), f"u{delimiter}v\n" + "".join(lines))
     expected = [[float(cell.strip(' "') or "nan") for cell in row] for row in rows]
@@ -118,11 +116,11 @@ def test_values_do_not_depend_on_blocks(
 )
 @pytest.mark.parametrize("block", [5, 1 << 22])
 def test_errors_name_the_line_and_the_text(
-    tmp_path: Path,
-    content: str | bytes,
-    message: str,
-    block: int,
-) -> None:
+    tmp_path,
+    content,
+    message,
+    block,
+):
     path = write(tmp_path, content)
     with pytest.raises(InputError) as caught:
         read(TextSource(path, block_bytes=block), "range")
@@ -148,13 +146,11 @@ def test_errors_name_the_line_and_the_text(
         (b",".join([b"1"] * 10_001) + b"\n", "line 1: 10001 cells, expected at most 10000"),
     ],
 )
-def test_files_that_hold_no_rows_or_no_text(tmp_path: Path, content: bytes, message: str) -> None:
+def test_files_that_hold_no_rows_or_no_text(tmp_path, content, message):
     assert message.removesuffix(", expected") in problem(tmp_path, content)
 
 
-def test_a_line_without_end_is_refused_before_it_is_held(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_line_without_end_is_refused_before_it_is_held(tmp_path, monkeypatch):
     monkeypatch.setattr(text_lines, "MAX_LINE_BYTES", 1000)
     path = write(tmp_path, b"range\n1\n" + b"2" * 100_000)
     with pytest.raises(InputError, match="line 3: more than 1000 bytes without a line end"):
@@ -175,13 +171,13 @@ def test_a_line_without_end_is_refused_before_it_is_held(
     block_bytes=st.integers(1, 60),
 )
 def test_rows_are_found_among_any_lines_that_are_none(
-    tmp_path_factory: pytest.TempPathFactory,
-    lines: list[str],
-    mark: str,
-    ending: str,
-    ends: bool,
-    block_bytes: int,
-) -> None:
+    tmp_path_factory,
+    lines,
+    mark,
+    ending,
+    ends,
+    block_bytes,
+):
     every = [*lines, "range,time", *lines, "1,2", *lines, "3,4"]
     path = write(tmp_path_factory.mktemp("text"), mark + ending.join(every) + ending * ends)
     text = find_format(path, None)
@@ -192,7 +188,7 @@ def test_rows_are_found_among_any_lines_that_are_none(
 
 
 @pytest.mark.parametrize("cell", ['"1\r2"', '"1"\r2', '"' + "1" * 140_000 + '"x'])
-def test_quoted_cells_that_no_table_has_are_refused_in_one_line(tmp_path: Path, cell: str) -> None:
+def test_quoted_cells_that_no_table_has_are_refused_in_one_line(tmp_path, cell):
     path = tmp_path / "a.csv"
     path.write_text("line,column,range\n0,0,5\n" + f"0,1,{cell}\n", newline="")
     with pytest.raises(InputError, match="line 3"):

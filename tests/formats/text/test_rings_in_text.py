@@ -1,9 +1,5 @@
 """Points of a spinning scanner in text: read as in PLY, and several turns are named."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -25,7 +21,7 @@ def points(n_turns: int) -> dict[str, np.ndarray]:
     return {**of_points(xyz), "ring": ring, "time": column / 3600 + ring * 2e-6}
 
 
-def test_several_turns_are_named_and_the_hint_reads_them(tmp_path: Path) -> None:
+def test_several_turns_are_named_and_the_hint_reads_them(tmp_path):
     path = write_csv(tmp_path / "a.csv", points(3))
     with pytest.raises(InputError, match="the file holds 3.0 turns") as caught:
         open_input(Input.of(path), InputConfig())
@@ -39,7 +35,7 @@ FIRING = (0, 2, 4, 6, 8, 10, 12, 14, 1, 3, 5, 7, 9, 11, 13, 15)
 """Ring of every laser, in the order of firing."""
 
 
-def test_several_frames_of_veloview_are_named(tmp_path: Path) -> None:
+def test_several_frames_of_veloview_are_named(tmp_path):
     made = points(3)
     xyz = [made[axis] for axis in "xyz"]
     columns = {f'"Points_m_XYZ:{k}"': values for k, values in enumerate(xyz)} | {

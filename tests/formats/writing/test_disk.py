@@ -1,7 +1,5 @@
 """Arrays on disk and run records."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -25,9 +23,7 @@ def read(column: DiskColumn, n: int = 1000) -> np.ndarray:
         st.lists(st.tuples(st.integers(0, 200), st.integers(0, 2**32 - 1)), max_size=40), max_size=6
     )
 )
-def test_equals_an_array_in_memory(
-    tmp_path_factory: pytest.TempPathFactory, parts: list[list[tuple[int, int]]]
-) -> None:
+def test_equals_an_array_in_memory(tmp_path_factory, parts):
     """Tiny pages and buffers: every boundary is met; the last value of a record stands."""
     expected = np.full(201, 3, np.uint32)
     with pytest.MonkeyPatch.context() as patch:
@@ -44,7 +40,7 @@ def test_equals_an_array_in_memory(
         column.close()
 
 
-def test_memory_stays_at_the_buffer(tmp_path: Path) -> None:
+def test_memory_stays_at_the_buffer(tmp_path):
     """A far record makes a hole in the file, not an array in memory."""
     import tracemalloc
 
@@ -60,9 +56,7 @@ def test_memory_stays_at_the_buffer(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("page_bytes", [32, 1 << 20])
-def test_records_are_read_in_any_order(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, page_bytes: int
-) -> None:
+def test_records_are_read_in_any_order(tmp_path, monkeypatch, page_bytes):
     monkeypatch.setattr(module, "PAGE_BYTES", page_bytes)
     kind = np.dtype([("x", "<f8"), ("code", "<i4")])
     rows = np.array([(n / 7, n) for n in range(1000)], kind)
@@ -90,6 +84,6 @@ def test_records_are_read_in_any_order(
         ("", ""),
     ],
 )
-def test_folders_are_left_out(value: object, kept: str) -> None:
+def test_folders_are_left_out(value, kept):
     record = json.loads(run_record(config={"input": {"range": [value]}}).to_json())
     assert record["config"]["input"]["range"] == [kept]

@@ -1,7 +1,5 @@
 """What is written is read by programs that share nothing with this one."""
 
-from __future__ import annotations
-
 import csv
 import gzip
 import io
@@ -89,7 +87,7 @@ READERS: dict[str, Callable[[Path], int]] = {
 
 
 @pytest.mark.parametrize("suffix", sorted(by_suffix("streams")))
-def test_every_stream(tmp_path: Path, suffix: str) -> None:
+def test_every_stream(tmp_path, suffix):
     path = tmp_path / f"o{suffix}"
     form = by_suffix("streams")[suffix]
     item, shape = example(form)
@@ -100,7 +98,7 @@ def test_every_stream(tmp_path: Path, suffix: str) -> None:
     assert READERS[suffix](path) in {ranges.size, np.count_nonzero(np.isfinite(ranges))}
 
 
-def test_a_dump_is_read_by_the_configuration_beside_it(tmp_path: Path) -> None:
+def test_a_dump_is_read_by_the_configuration_beside_it(tmp_path):
     path = tmp_path / "o.bin"
     item, shape = example(by_suffix("streams")[".bin"])
     with by_suffix("streams")[".bin"].stream_writer(path, shape) as writer:

@@ -1,9 +1,6 @@
 """Streams as rows and as new LAS files: every return once, whatever its class."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import laspy
 import numpy as np
@@ -18,7 +15,7 @@ from tests.formats.common import run_record
 LAS = by_suffix("streams")[".las"]
 
 
-def test_rows_do_not_depend_on_how_lines_are_cut() -> None:
+def test_rows_do_not_depend_on_how_lines_are_cut():
     item, _ = example(LAS)
     places = np.array([[0, 0], [1, 11], [1, 11], [2, 4], [4, 11]], np.int32)
     extra = ExtraReturns(
@@ -38,7 +35,7 @@ def test_rows_do_not_depend_on_how_lines_are_cut() -> None:
     assert len(whole["line"]) == item.block.range_m.size + 5
 
 
-def test_codes_that_a_byte_cannot_hold_are_lost_and_counted(tmp_path: Path) -> None:
+def test_codes_that_a_byte_cannot_hold_are_lost_and_counted(tmp_path):
     item, shape = example(LAS)
     place = np.flatnonzero(np.isfinite(item.block.range_m))[:5]
     codes = np.full(item.block.range_m.shape, 2)

@@ -1,7 +1,5 @@
 """Files on Dask: the same bytes as the local engine, even if workers die."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal
@@ -9,7 +7,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
@@ -40,7 +37,7 @@ M = 40
 
 
 @pytest.fixture(scope="module")
-def quiet() -> Iterator[None]:
+def quiet():
     """Dask's own log is not looked at here."""
     logger = logging.getLogger("distributed")
     level = logger.level
@@ -50,7 +47,7 @@ def quiet() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def cluster(quiet: None) -> Iterator[Any]:
+def cluster(quiet):
     """A scheduler and two workers inside this process."""
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=False, dashboard_address=":0", memory_limit=0
@@ -112,7 +109,7 @@ def left_in(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.rglob("*") if not path.is_dir())
 
 
-def test_files(cluster: Any, tmp_path: Path) -> None:
+def test_files(cluster, tmp_path):
     tasks = tasks_in(tmp_path, {f"deep/{i}.npy": 30 + i for i in range(9)})
     bad = tmp_path / "in" / "bad.npy"
     bad.write_bytes(b"rubbish")
@@ -137,7 +134,7 @@ def test_files(cluster: Any, tmp_path: Path) -> None:
     assert len(left_in(tmp_path / "out")) == 18
 
 
-def test_closing_stops_what_is_at_work(cluster: Any, tmp_path: Path) -> None:
+def test_closing_stops_what_is_at_work(cluster, tmp_path):
     (tmp_path / "in").mkdir()
     names = [f"{i}.npy" for i in range(3)]
     for name in names:
@@ -160,9 +157,7 @@ def test_closing_stops_what_is_at_work(cluster: Any, tmp_path: Path) -> None:
     )
 
 
-def test_file_that_hangs_is_given_up(
-    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_file_that_hangs_is_given_up(cluster, tmp_path, monkeypatch):
     tasks = tasks_in(tmp_path, {"hangs.npy": 20, **{f"{i}.npy": 20 for i in range(4)}})
     load_classifier(config())  # compiling loops is no progress either
     real = dask_engine.run_item
@@ -205,11 +200,11 @@ def test_file_that_hangs_is_given_up(
 
 @pytest.mark.parametrize("who", ["scheduler", "worker"])
 def test_other_versions_are_refused(
-    cluster: Any,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    who: str,
-) -> None:
+    cluster,
+    tmp_path,
+    monkeypatch,
+    who,
+):
     tasks = tasks_in(tmp_path, {"a.npy": 20})
     if who == "scheduler":
         monkeypatch.setattr(dask_engine, "version_here", lambda: "0.0.1")
@@ -222,13 +217,13 @@ def test_other_versions_are_refused(
         run(DaskEngine(cluster.scheduler_address), tasks)
 
 
-def test_without_dask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_dask(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ConfigError, match=r"not installed here .*; pip install .\.\[dask\]."):
         run(DaskEngine("tcp://127.0.0.1:9"), tasks_in(tmp_path, {"a.npy": 20}))
 
 
-def test_without_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet: None) -> None:
+def test_without_scheduler(tmp_path, monkeypatch, quiet):
     monkeypatch.setattr(dask_engine, "CONNECT_S", 0.5)
     tasks = tasks_in(tmp_path, {"a.npy": 20})
     for address in ("tcp://127.0.0.1:9", "nonsense://x"):
@@ -236,7 +231,7 @@ def test_without_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quie
             run(DaskEngine(address), tasks)
 
 
-def test_what_a_dead_worker_left_is_removed_with_the_outcome(cluster: Any, tmp_path: Path) -> None:
+def test_what_a_dead_worker_left_is_removed_with_the_outcome(cluster, tmp_path):
     """It may have been alive yet when the second worker looked for what the first one left."""
     (task,) = tasks_in(tmp_path, {"a.npy": 20})
     task.output.parent.mkdir(parents=True, exist_ok=True)
@@ -267,7 +262,7 @@ def test_what_a_dead_worker_left_is_removed_with_the_outcome(cluster: Any, tmp_p
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
-def test_worker_killed_in_mid_run(tmp_path: Path, quiet: None) -> None:
+def test_worker_killed_in_mid_run(tmp_path, quiet):
     """Separately started scheduler and workers; one is killed while it has a file."""
     lines = {"first.npy": 10_000, **{f"{i}.npy": 300 for i in range(4)}, "last.npy": 2400}
     tasks = tasks_in(tmp_path, lines, m=100)

@@ -1,11 +1,8 @@
 """Drives in many files: one stream, one item of work, an outcome a file."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -54,14 +51,14 @@ class Here:
 
 
 @pytest.fixture
-def settings(tmp_path: Path) -> BatchSettings:
+def settings(tmp_path):
     (tmp_path / "in").mkdir()
     cut_raw(tmp_path / "in")[0].rename(tmp_path / "whole.bin")
     return BatchSettings(tmp_path / "in", tmp_path / "out", config=LAYERS, drives=(PATTERN,))
 
 
 @pytest.fixture(autouse=True)
-def _no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+def _no_pauses(monkeypatch):
     monkeypatch.setattr(batch_run, "PAUSE_S", 0.0)
 
 
@@ -73,7 +70,7 @@ def labels_in(settings: BatchSettings) -> list[bytes]:
     return [path.read_bytes() for path in sorted(settings.out.glob("*.labels.npy"))]
 
 
-def test_a_drive_has_the_labels_of_the_joined_file(settings: BatchSettings, tmp_path: Path) -> None:
+def test_a_drive_has_the_labels_of_the_joined_file(settings, tmp_path):
     engine = Here()
     summary = run_batch(settings, engine)
     names = tuple(f"drive_{i}.bin" for i in range(3))
@@ -95,7 +92,7 @@ def test_a_drive_has_the_labels_of_the_joined_file(settings: BatchSettings, tmp_
 
 
 @pytest.mark.parametrize("name", ["drive_0.bin", "drive_2.bin"])
-def test_a_changed_part_makes_the_drive_new(settings: BatchSettings, name: str) -> None:
+def test_a_changed_part_makes_the_drive_new(settings, name):
     run_batch(settings, Here())
     part = settings.archive / name
     part.write_bytes(part.read_bytes()[: -4 * POINTS_PER_LINE])
@@ -104,7 +101,7 @@ def test_a_changed_part_makes_the_drive_new(settings: BatchSettings, name: str) 
     assert run_batch(settings, Here()).exit_code == 0
 
 
-def test_more_parts_or_none_make_the_drive_new(settings: BatchSettings) -> None:
+def test_more_parts_or_none_make_the_drive_new(settings):
     run_batch(settings, Here())
     more = settings.archive / "drive_3.bin"
     more.write_bytes((settings.archive / "drive_2.bin").read_bytes())
@@ -121,7 +118,7 @@ def test_more_parts_or_none_make_the_drive_new(settings: BatchSettings) -> None:
     assert set(reasons(plan_batch(settings)[0]).values()) == {"changed drive", "failed before"}
 
 
-def test_a_damaged_part_fails_its_drive_and_nothing_else(settings: BatchSettings) -> None:
+def test_a_damaged_part_fails_its_drive_and_nothing_else(settings):
     whole = (settings.archive / "drive_1.bin").read_bytes()
     (settings.archive / "drive_1.bin").write_bytes(whole[:-1])
     (settings.archive / "other.bin").write_bytes(
@@ -141,14 +138,14 @@ def test_a_damaged_part_fails_its_drive_and_nothing_else(settings: BatchSettings
     assert (again.exit_code, len(again.done), len(engine.items)) == (0, 3, 1)
 
 
-def test_a_drive_whose_worker_died_is_done_again_as_a_whole(settings: BatchSettings) -> None:
+def test_a_drive_whose_worker_died_is_done_again_as_a_whole(settings):
     engine = Here(dies=True)
     summary = run_batch(settings, engine)
     assert (summary.exit_code, len(summary.done), len(engine.items)) == (0, 3, 2)
     assert {entry.state for entry in read_entries(settings.out / OWN_FOLDER)} == {"done"}
 
 
-def test_drives_are_selected_as_a_whole(settings: BatchSettings) -> None:
+def test_drives_are_selected_as_a_whole(settings):
     for i in range(4):
         (settings.archive / f"a_{i}.bin").write_bytes(b"\0" * 4)
     settings = replace(settings, drives=(PATTERN, "a_*.bin"))
@@ -168,7 +165,7 @@ def test_drives_are_selected_as_a_whole(settings: BatchSettings) -> None:
     assert [item.name for item in since.files] == ["drive_0.bin", "drive_1.bin", "drive_2.bin"]
 
 
-def test_files_of_one_drive_need_one_configuration(settings: BatchSettings, tmp_path: Path) -> None:
+def test_files_of_one_drive_need_one_configuration(settings, tmp_path):
     config = tmp_path / "archive.toml"
     config.write_text('[[override]]\nmatch = "drive_1.bin"\n[override.input]\nmax_range = 50.0\n')
     plan = plan_batch(replace(settings, config=replace(LAYERS, path=config)))[0]
@@ -176,7 +173,7 @@ def test_files_of_one_drive_need_one_configuration(settings: BatchSettings, tmp_
     assert "has another configuration than drive_0.bin" in str(plan.refused[0].problem)
 
 
-def test_parts_are_numbered_by_the_last_wildcards() -> None:
+def test_parts_are_numbered_by_the_last_wildcards():
     drives = Drives(["day_*/drive_*_*.laz", "scan-[0-9][0-9].las", "**/*.bin"])
     assert drives.of("day_1/drive_a_b_10.laz") == ("day_1/drive_a_b_*.laz", ("", 10, ""))
     assert drives.of("day_1/drive_a_b_2.laz")[1] < drives.of("day_1/drive_a_b_10.laz")[1]

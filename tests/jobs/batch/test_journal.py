@@ -1,14 +1,11 @@
 """The journal keeps committed rows, or reports a clear error."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import random
 import sqlite3
 import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -38,12 +35,12 @@ ODD_NAMES = [
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     return tmp_path / ".prc"
 
 
 @pytest.fixture
-def open_to_all() -> Iterator[Path]:
+def open_to_all():
     """Folder that another user may enter; those of pytest are private."""
     with tempfile.TemporaryDirectory(prefix="prc-journal-") as name:
         Path(name).chmod(0o755)
@@ -84,7 +81,7 @@ def spelled(entry: Entry | None) -> Problem:
 
 
 @pytest.mark.parametrize("name", ODD_NAMES)
-def test_any_name_comes_back(folder: Path, name: str) -> None:
+def test_any_name_comes_back(folder, name):
     with Journal(folder) as journal:
         journal.begin_run("me")
         journal.start(task(name), "worker 1")
@@ -104,7 +101,7 @@ def test_any_name_comes_back(folder: Path, name: str) -> None:
     assert read_entries(folder)[0].outcome == done(name)
 
 
-def test_what_is_known_of_a_file(folder: Path) -> None:
+def test_what_is_known_of_a_file(folder):
     with Journal(folder) as journal:
         assert journal.entry("a.laz") is None
         run = journal.begin_run("me on this machine")
@@ -138,7 +135,7 @@ def test_what_is_known_of_a_file(folder: Path) -> None:
         assert journal.entry("a.laz").attempts == 1
 
 
-def test_journals_of_other_divisions_are_known_and_the_newest_entry_counts(folder: Path) -> None:
+def test_journals_of_other_divisions_are_known_and_the_newest_entry_counts(folder):
     with Journal(folder) as journal:
         journal.begin_run("whole")
         for name in ("a", "b", "c"):
@@ -182,7 +179,7 @@ def damage(path: Path, how: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["garbage", "cut", "text", "holes", "no table"])
-def test_a_damaged_journal_is_one_clear_error(folder: Path, how: str) -> None:
+def test_a_damaged_journal_is_one_clear_error(folder, how):
     with Journal(folder) as journal:
         journal.begin_run("me")
         for number in range(200):
@@ -199,7 +196,7 @@ def test_a_damaged_journal_is_one_clear_error(folder: Path, how: str) -> None:
     assert path.read_bytes() == content
 
 
-def test_a_newer_journal_is_refused_and_left_alone(folder: Path) -> None:
+def test_a_newer_journal_is_refused_and_left_alone(folder):
     with Journal(folder):
         pass
     database = sqlite3.connect(folder / "journal.sqlite")
@@ -214,9 +211,7 @@ def test_a_newer_journal_is_refused_and_left_alone(folder: Path) -> None:
     assert (folder / "journal.sqlite").read_bytes() == content
 
 
-def test_a_journal_that_somebody_holds_is_busy(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_journal_that_somebody_holds_is_busy(folder, monkeypatch):
     monkeypatch.setattr(subject, "WAIT_S", 0.05)
     with Journal(folder) as journal:
         database = sqlite3.connect((folder / "journal.sqlite"), isolation_level=None)
@@ -248,9 +243,7 @@ except PrcError as error:
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX permissions")
 @pytest.mark.parametrize("live", [False, True])
-def test_a_read_only_folder_can_be_read_and_is_refused_for_writing(
-    open_to_all: Path, live: bool
-) -> None:
+def test_a_read_only_folder_can_be_read_and_is_refused_for_writing(open_to_all, live):
     """As another user, beside a live writer and after it."""
     folder = open_to_all / ".prc"
     with Journal(folder) as journal:
@@ -293,7 +286,7 @@ def test_a_read_only_folder_can_be_read_and_is_refused_for_writing(
         f"outcome = '{'[' * 100_000}'",
     ],
 )
-def test_a_row_that_makes_no_sense_is_damage(folder: Path, change: str) -> None:
+def test_a_row_that_makes_no_sense_is_damage(folder, change):
     with Journal(folder) as journal:
         journal.begin_run("me")
         journal.start(task("a"), "worker")
@@ -313,7 +306,7 @@ def test_a_row_that_makes_no_sense_is_damage(folder: Path, change: str) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
-def test_a_pipe_in_its_place_stops_nobody(folder: Path) -> None:
+def test_a_pipe_in_its_place_stops_nobody(folder):
     folder.mkdir(parents=True)
     os.mkfifo(folder / "journal.sqlite")
     with pytest.raises(PrcError):
@@ -322,7 +315,7 @@ def test_a_pipe_in_its_place_stops_nobody(folder: Path) -> None:
         pass
 
 
-def test_what_is_committed_outlives_the_power(folder: Path) -> None:
+def test_what_is_committed_outlives_the_power(folder):
     with Journal(folder) as journal:
         (synchronous,) = journal._database.execute("PRAGMA synchronous").fetchone()
         assert synchronous == 3  # EXTRA
@@ -330,7 +323,7 @@ def test_what_is_committed_outlives_the_power(folder: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
-def test_random_damage_is_one_clear_error_or_none(folder: Path, tmp_path: Path, seed: int) -> None:
+def test_random_damage_is_one_clear_error_or_none(folder, tmp_path, seed):
     """7 of 100 gave a traceback, by rows that SQLite reads and that make no sense."""
     with Journal(folder) as journal:
         journal.begin_run("me")

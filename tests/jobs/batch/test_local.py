@@ -1,7 +1,5 @@
 """Real worker processes: files that crash or block them, and cleaning up afterwards."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -94,7 +92,7 @@ def children(process: int) -> list[int]:
 
 
 @pytest.fixture(scope="module")
-def events(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Event]]:
+def events(tmp_path_factory):
     """One run over good files, a damaged one, one that kills its worker, and one that hangs."""
     folder = tmp_path_factory.mktemp("local")
     sound = write_npz(folder / "sound.npz", street(80))
@@ -127,8 +125,8 @@ def outcomes(events: list[Event]) -> dict[str, Done | Failed]:
 
 
 def test_every_file_has_one_outcome_whatever_the_others_did(
-    events: tuple[Path, list[Event]],
-) -> None:
+    events,
+):
     ended = [event.name for event in events[1] if isinstance(event, Done | Failed)]
     assert sorted(ended) == ["a", "b", "c", "damaged", "gone", "hangs", "killed"]
     assert {name for name, event in outcomes(events[1]).items() if isinstance(event, Done)} == {
@@ -138,7 +136,7 @@ def test_every_file_has_one_outcome_whatever_the_others_did(
     }
 
 
-def test_a_file_begins_before_it_progresses_and_ends(events: tuple[Path, list[Event]]) -> None:
+def test_a_file_begins_before_it_progresses_and_ends(events):
     for name in ("a", "b", "c"):
         kinds = [type(event) for event in events[1] if event.name == name]
         assert kinds[0] is Started
@@ -152,7 +150,7 @@ def test_a_file_begins_before_it_progresses_and_ends(events: tuple[Path, list[Ev
         assert lines == 80
 
 
-def test_a_dead_worker_says_which_signal_killed_it(events: tuple[Path, list[Event]]) -> None:
+def test_a_dead_worker_says_which_signal_killed_it(events):
     outcome = outcomes(events[1])["killed"]
     assert isinstance(outcome, Failed)
     assert outcome.problem.kind == "killed"
@@ -160,14 +158,14 @@ def test_a_dead_worker_says_which_signal_killed_it(events: tuple[Path, list[Even
     assert "--jobs" in outcome.problem.hint
 
 
-def test_a_file_without_progress_is_given_up(events: tuple[Path, list[Event]]) -> None:
+def test_a_file_without_progress_is_given_up(events):
     outcome = outcomes(events[1])["hangs"]
     assert isinstance(outcome, Failed)
     assert outcome.problem.kind == "timeout"
     assert outcome.seconds >= STALL_S
 
 
-def test_closing_ends_the_workers_and_rolls_back(tmp_path: Path) -> None:
+def test_closing_ends_the_workers_and_rolls_back(tmp_path):
     source = write_endless(tmp_path / "endless.npy")
     others = children(
         os.getpid()
@@ -183,7 +181,7 @@ def test_closing_ends_the_workers_and_rolls_back(tmp_path: Path) -> None:
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
+def test_workers_end_with_a_parent_that_is_killed(tmp_path):
     source = write_endless(tmp_path / "endless.npy")
     script = """
 import sys
@@ -209,7 +207,7 @@ for event in LocalEngine().run(tasks, EngineSettings(jobs=1)):
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_a_worker_does_not_hear_ctrl_c(tmp_path: Path) -> None:
+def test_a_worker_does_not_hear_ctrl_c(tmp_path):
     source = write_npz(tmp_path / "a.npz", street(80))
     events_of_run: list[Event] = []
     for event in LocalEngine().run(
@@ -230,7 +228,7 @@ def test_a_worker_does_not_hear_ctrl_c(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems count address space")
-def test_a_file_that_takes_too_much_memory_fails_and_the_next_is_done(tmp_path: Path) -> None:
+def test_a_file_that_takes_too_much_memory_fails_and_the_next_is_done(tmp_path):
     wide = tmp_path / "wide.npy"
     np.lib.format.open_memmap(wide, mode="w+", dtype=np.float32, shape=(40, 4_000_000)).flush()
     small = write_npz(tmp_path / "small.npz", street(80))
@@ -242,9 +240,7 @@ def test_a_file_that_takes_too_much_memory_fails_and_the_next_is_done(tmp_path: 
     assert isinstance(results["small"], Done)
 
 
-def test_workers_that_cannot_start_end_the_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_workers_that_cannot_start_end_the_run(tmp_path, monkeypatch):
     broken = tmp_path / "python"
     broken.write_text("#!/bin/sh\necho no libraries here >&2\nexit 3\n")
     broken.chmod(0o755)
@@ -253,7 +249,7 @@ def test_workers_that_cannot_start_end_the_run(
         list(LocalEngine().run([task(tmp_path, "a", tmp_path / "a.npz")], EngineSettings(jobs=1)))
 
 
-def test_a_dropped_interrupt_is_raised_again(tmp_path: Path) -> None:
+def test_a_dropped_interrupt_is_raised_again(tmp_path):
     """Python drops an exception in a destructor; the worker must end all the same."""
     script = """
 import threading, time

@@ -1,7 +1,5 @@
 """One run at a time: a living owner is respected, the lock of a dead one is free."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
@@ -43,7 +41,7 @@ with Lock(Path(sys.argv[1])):
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     return tmp_path / ".prc"
 
 
@@ -66,7 +64,7 @@ def line_of(process: subprocess.Popen[str]) -> str:
     return process.stdout.readline().rstrip("\n")
 
 
-def test_a_second_run_is_told_who_is_at_work(folder: Path) -> None:
+def test_a_second_run_is_told_who_is_at_work(folder):
     with Lock(folder), pytest.raises(BusyError) as caught, Lock(folder):
         pass
     assert caught.value.exit_code == 5
@@ -95,11 +93,11 @@ def test_a_second_run_is_told_who_is_at_work(folder: Path) -> None:
     ],
 )
 def test_runs_with_files_in_common_exclude_each_other(
-    folder: Path,
-    first: str | None,
-    second: str | None,
-    together: bool,
-) -> None:
+    folder,
+    first,
+    second,
+    together,
+):
     first_shard, second_shard = (
         None if text is None else Shard.parse(text) for text in (first, second)
     )
@@ -116,7 +114,7 @@ def test_runs_with_files_in_common_exclude_each_other(
 
 
 @pytest.mark.slow
-def test_workers_do_not_keep_the_lock_of_their_parent(folder: Path) -> None:
+def test_workers_do_not_keep_the_lock_of_their_parent(folder):
     """Files of the parent are not open in its children, so its lock ends with it."""
     with held_by_another_process(folder, "with a child") as process:
         child = int(line_of(process))
@@ -134,9 +132,7 @@ def test_workers_do_not_keep_the_lock_of_their_parent(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("event", ["taken over", "removed"])
-def test_an_owner_that_lost_its_lock_finds_out_and_leaves_the_others(
-    folder: Path, event: str
-) -> None:
+def test_an_owner_that_lost_its_lock_finds_out_and_leaves_the_others(folder, event):
     """As after somebody removed files."""
     new_owner = Owner(host="elsewhere")
     with Lock(folder) as lock:
@@ -152,9 +148,7 @@ def test_an_owner_that_lost_its_lock_finds_out_and_leaves_the_others(
 
 
 @pytest.mark.parametrize("number", [errno.ENOTSUP, errno.ENOLCK, errno.ENOSYS, errno.EINVAL])
-def test_a_file_system_without_locks_is_refused_and_left_as_it_was(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
+def test_a_file_system_without_locks_is_refused_and_left_as_it_was(folder, monkeypatch, number):
     def flock(handle: int, operation: int) -> None:
         raise OSError(number, os.strerror(number))
 
@@ -213,11 +207,11 @@ def begin(folder: Path, stage: str) -> None:
 @pytest.mark.parametrize("stage", STAGES)
 @pytest.mark.parametrize("rival", [None, "1/2"])
 def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    stage: str,
-    rival: str | None,
-) -> None:
+    tmp_path,
+    monkeypatch,
+    stage,
+    rival,
+):
     """The rival is quick while the other one is slow."""
 
     def come(shard: Shard | None = None) -> None:
@@ -245,9 +239,7 @@ def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.parametrize("stage", STAGES)
-def test_the_lock_of_a_run_that_dies_at_any_step_is_free(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str
-) -> None:
+def test_the_lock_of_a_run_that_dies_at_any_step_is_free(tmp_path, monkeypatch, stage):
     steps = call_at_step(monkeypatch, lambda: os._exit(DIED))
     ended = DIED
     for n_steps in count(1):
@@ -269,7 +261,7 @@ def test_the_lock_of_a_run_that_dies_at_any_step_is_free(
     assert (ended, n_steps > 5) == (0, True)
 
 
-def test_a_shard_is_a_part_of_the_whole_and_the_same_for_ever() -> None:
+def test_a_shard_is_a_part_of_the_whole_and_the_same_for_ever():
     names = [f"2026/day {i}/drive.laz" for i in range(400)]
     parts = [{name for name in names if Shard(i, 7).holds(name)} for i in range(1, 8)]
     assert sum(map(len, parts)) == len(set.union(*parts)) == len(names)
@@ -282,7 +274,7 @@ def test_a_shard_is_a_part_of_the_whole_and_the_same_for_ever() -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
-def test_a_pipe_in_the_place_of_the_owner_stops_nobody(tmp_path: Path) -> None:
+def test_a_pipe_in_the_place_of_the_owner_stops_nobody(tmp_path):
     """Reading it waited for a writer, for ever; SIGTERM did not end that."""
     folder = tmp_path / ".prc"
     folder.mkdir()

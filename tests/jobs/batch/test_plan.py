@@ -3,8 +3,6 @@
 Action, reason and configuration of each, and the effort.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 import time
@@ -29,7 +27,7 @@ from tests.patience import HANGS_S
 
 
 @pytest.fixture
-def settings(tmp_path: Path) -> BatchSettings:
+def settings(tmp_path):
     for name in ("a.npz", "b.npz"):
         (tmp_path / "in").mkdir(exist_ok=True)
         (tmp_path / "in" / name).write_bytes(b"content of " + name.encode())
@@ -91,7 +89,7 @@ def refusals(plan: Plan) -> dict[str, str]:
 # -- decisions
 
 
-def test_content_decides_when_only_the_time_changed(settings: BatchSettings) -> None:
+def test_content_decides_when_only_the_time_changed(settings):
     known = entry(settings, "a.npz")
     os.utime(settings.archive / "a.npz", ns=(1, 10**18))
     plan = plan_of(settings, known)
@@ -102,7 +100,7 @@ def test_content_decides_when_only_the_time_changed(settings: BatchSettings) -> 
     assert reasons(plan_of(settings, known))["a.npz"] == "changed input"
 
 
-def test_a_change_that_keeps_size_and_time_is_found_by_verify(settings: BatchSettings) -> None:
+def test_a_change_that_keeps_size_and_time_is_found_by_verify(settings):
     known = entry(settings, "a.npz")
     source = settings.archive / "a.npz"
     times = source.stat()
@@ -112,7 +110,7 @@ def test_a_change_that_keeps_size_and_time_is_found_by_verify(settings: BatchSet
     assert reasons(plan_of(replace(settings, verify=True), known))["a.npz"] == "changed input"
 
 
-def test_an_output_that_no_journal_knows_is_not_touched(settings: BatchSettings) -> None:
+def test_an_output_that_no_journal_knows_is_not_touched(settings):
     output(settings, "a.npz").write_bytes(b"by hand")
     plan = plan_of(settings)
     assert reasons(plan) == {"b.npz": "new"}
@@ -149,7 +147,7 @@ preset = "prc-2019-forest"
 """
 
 
-def test_later_overrides_win_and_presets_lie_below_the_file(tmp_path: Path) -> None:
+def test_later_overrides_win_and_presets_lie_below_the_file(tmp_path):
     config = BatchConfig(config_file(tmp_path, OVERRIDES))
     zeta = {}
     for name in ("a.npz", "night/a.npz", "a.laz", "night/oak.npz"):
@@ -180,12 +178,12 @@ def test_later_overrides_win_and_presets_lie_below_the_file(tmp_path: Path) -> N
         ("input = 3", "input"),
     ],
 )
-def test_wrong_overrides_are_found_before_any_file(tmp_path: Path, text: str, message: str) -> None:
+def test_wrong_overrides_are_found_before_any_file(tmp_path, text, message):
     with pytest.raises(ConfigError, match=message):
         BatchConfig(config_file(tmp_path, text))
 
 
-def test_every_file_has_its_own_trajectory(tmp_path: Path) -> None:
+def test_every_file_has_its_own_trajectory(tmp_path):
     layers = config_file(tmp_path, 'input.range = "trajectory:{folder}/{stem}.csv"\n')
     config = BatchConfig(layers)
     drive = tmp_path / "in" / "night" / "a.1.laz"
@@ -200,7 +198,7 @@ def test_every_file_has_its_own_trajectory(tmp_path: Path) -> None:
     assert BatchConfig(layers).of("night/a.1.laz", drive)[1] != first
 
 
-def test_effort_is_that_of_earlier_files_of_the_format(settings: BatchSettings) -> None:
+def test_effort_is_that_of_earlier_files_of_the_format(settings):
     todo = plan_of(settings).todo
     nothing = Estimate(None, None, ("npz: nothing known",), 2)
     done = entry(settings, "a.npz")
@@ -232,7 +230,7 @@ def left_out(archive: Path, **options: object) -> dict[str, str]:
 
 
 @pytest.fixture
-def archive(tmp_path: Path) -> Path:
+def archive(tmp_path):
     folder = tmp_path / "archive"
     for name in (
         "b.laz",
@@ -270,15 +268,15 @@ def archive(tmp_path: Path) -> Path:
     ],
 )
 def test_patterns_choose(
-    archive: Path,
-    include: list[str],
-    exclude: list[str],
-    expected: list[str],
-) -> None:
+    archive,
+    include,
+    exclude,
+    expected,
+):
     assert names(archive, include=tuple(include), exclude=tuple(exclude)) == expected
 
 
-def test_outputs_are_no_inputs(archive: Path) -> None:
+def test_outputs_are_no_inputs(archive):
     out = archive / "out"
     put(out / "b.laz")
     put(out / OWN_FOLDER / "journal.sqlite")
@@ -300,7 +298,7 @@ def test_outputs_are_no_inputs(archive: Path) -> None:
 
 
 @pytest.mark.parametrize("out", [".", "..", "../.", "../archive"])
-def test_an_archive_in_its_outputs_is_refused(archive: Path, out: str) -> None:
+def test_an_archive_in_its_outputs_is_refused(archive, out):
     with pytest.raises(ConfigError, match="never modified"):
         names(archive, out=archive / out)
     with pytest.raises(ConfigError, match="never modified"):
@@ -308,7 +306,7 @@ def test_an_archive_in_its_outputs_is_refused(archive: Path, out: str) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="links and pipes")
-def test_links_and_pipes(archive: Path) -> None:
+def test_links_and_pipes(archive):
     outside = put(archive.parent / "outside" / "secret.laz")
     (archive / "out_of_it.laz").symlink_to(outside)
     (archive / "folder_out").symlink_to(outside.parent)
@@ -338,7 +336,7 @@ def test_links_and_pipes(archive: Path) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="names of bytes")
-def test_odd_names(tmp_path: Path) -> None:
+def test_odd_names(tmp_path):
     odd = [
         b"a\nb.laz",
         b"\x1b[31m.laz",
@@ -356,7 +354,7 @@ def test_odd_names(tmp_path: Path) -> None:
     assert names(tmp_path / "in", include=("latin?.laz",)) == ["latin\udce9.laz"]
 
 
-def test_since(archive: Path) -> None:
+def test_since(archive):
     now = time.time()
     for name, age in (("b.laz", 10), ("a/2.las", 90_000), ("z.npz", 900_000)):
         os.utime(archive / name, (now - age, now - age))
@@ -370,9 +368,7 @@ def test_since(archive: Path) -> None:
     assert listing.n_not_selected == 3
 
 
-def test_a_file_system_that_does_not_answer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_system_that_does_not_answer(tmp_path, monkeypatch):
     answers = threading.Event()
 
     def hang(settings: BatchSettings, exclude: Patterns) -> Iterator[None]:
@@ -385,7 +381,7 @@ def test_a_file_system_that_does_not_answer(
     answers.set()
 
 
-def test_what_a_killed_run_left_is_done_again_over_its_output(settings: BatchSettings) -> None:
+def test_what_a_killed_run_left_is_done_again_over_its_output(settings):
     known = entry(settings, "a.npz", "running")
     output(settings, "a.npz").write_bytes(b"renamed just before the kill")
     plan = plan_of(settings, known)

@@ -3,10 +3,7 @@
 The same as prc evaluate per file, pooled; files without reference are
 listed."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +45,7 @@ def trees(folder: Path) -> tuple[list[Output], Path]:
 
 
 @pytest.mark.slow
-def test_every_file_and_all_together_as_prc_evaluate_has_them(tmp_path: Path) -> None:
+def test_every_file_and_all_together_as_prc_evaluate_has_them(tmp_path):
     outputs, tree = trees(tmp_path)
     evaluation = evaluate_tree(outputs, ReferenceSettings(tree), jobs=2)
     assert [item.name for item in evaluation.files] == list(PREDICTED)
@@ -64,7 +61,7 @@ def test_every_file_and_all_together_as_prc_evaluate_has_them(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_the_mapping_is_that_of_the_method_in_the_run_records(tmp_path: Path) -> None:
+def test_the_mapping_is_that_of_the_method_in_the_run_records(tmp_path):
     outputs, tree = trees(tmp_path)
     gates = ("recall.ground=0.5", "recall.car=0")
     check_reference(ReferenceSettings(tree, gates=gates))
@@ -88,7 +85,7 @@ def test_the_mapping_is_that_of_the_method_in_the_run_records(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_a_damaged_reference_costs_its_file_only(tmp_path: Path) -> None:
+def test_a_damaged_reference_costs_its_file_only(tmp_path):
     outputs, tree = trees(tmp_path)
     (tree / "a.npy").write_bytes(b"\x93NUMPY garbage")
     np.save(tree / "night" / "c.bin.labels.npy", np.array([7, 7, 7], np.uint8))
@@ -114,9 +111,7 @@ def test_a_damaged_reference_costs_its_file_only(tmp_path: Path) -> None:
         ({"gates": ("recall.ground",)}, "fail-under"),
     ],
 )
-def test_settings_that_make_no_sense_are_refused_before_any_work(
-    tmp_path: Path, changes: dict[str, str | Sequence[str]], expected: str
-) -> None:
+def test_settings_that_make_no_sense_are_refused_before_any_work(tmp_path, changes, expected):
     with pytest.raises(ConfigError, match=expected):
         check_reference(ReferenceSettings(tmp_path, **changes))  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="no such folder"):
@@ -124,7 +119,7 @@ def test_settings_that_make_no_sense_are_refused_before_any_work(
 
 
 @pytest.mark.slow
-def test_labels_alone_are_matched_through_the_points_of_the_input(tmp_path: Path) -> None:
+def test_labels_alone_are_matched_through_the_points_of_the_input(tmp_path):
     times = np.arange(4) * 1e-3
     archive, out, tree = (tmp_path / name for name in ("archive", "out", "ref"))
     for folder in (archive, out, tree):
@@ -143,7 +138,7 @@ def test_labels_alone_are_matched_through_the_points_of_the_input(tmp_path: Path
 
 
 @pytest.mark.slow
-def test_a_file_that_ends_the_process_costs_its_own_comparison(tmp_path: Path) -> None:
+def test_a_file_that_ends_the_process_costs_its_own_comparison(tmp_path):
     """It ended the run, every night; the others are compared all the same."""
     outputs, tree = trees(tmp_path)
     crafted = overflowing()

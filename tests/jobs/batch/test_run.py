@@ -1,7 +1,5 @@
 """Whole runs, with scripted engines for rare events and with real workers for equal bytes."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -82,7 +80,7 @@ class Scripted:
 
 
 @pytest.fixture
-def settings(tmp_path: Path) -> BatchSettings:
+def settings(tmp_path):
     (tmp_path / "in").mkdir()
     for name in "abcd":
         (tmp_path / "in" / f"{name}.npz").write_bytes(name.encode())
@@ -90,7 +88,7 @@ def settings(tmp_path: Path) -> BatchSettings:
 
 
 @pytest.fixture(autouse=True)
-def _no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+def _no_pauses(monkeypatch):
     monkeypatch.setattr(batch_run, "PAUSE_S", 0.0)
 
 
@@ -98,7 +96,7 @@ def states(settings: BatchSettings) -> dict[str, str]:
     return {entry.name: entry.state for entry in read_entries(settings.out / OWN_FOLDER)}
 
 
-def test_a_second_run_has_nothing_to_do(settings: BatchSettings) -> None:
+def test_a_second_run_has_nothing_to_do(settings):
     first = run_batch(settings, Scripted())
     assert (first.exit_code, len(first.done), first.n_found, first.ended) == (0, 4, 4, "finished")
     assert first.reasons == (("new", 4),)
@@ -129,11 +127,11 @@ def test_a_second_run_has_nothing_to_do(settings: BatchSettings) -> None:
     ],
 )
 def test_what_may_pass_is_tried_again(
-    settings: BatchSettings,
-    kind: str,
-    retry: int,
-    attempts: int,
-) -> None:
+    settings,
+    kind,
+    retry,
+    attempts,
+):
     engine = Scripted(
         lambda task, _: failed(task, kind) if task.name == "b.npz" else finished(task)
     )
@@ -147,7 +145,7 @@ def test_what_may_pass_is_tried_again(
     assert entry.attempts == attempts
 
 
-def test_a_file_that_killed_its_worker_is_tried_alone_at_the_end(settings: BatchSettings) -> None:
+def test_a_file_that_killed_its_worker_is_tried_alone_at_the_end(settings):
     def script(task: Task, attempt: int) -> Outcome:
         if task.name in ("a.npz", "c.npz") and attempt == 1:
             return failed(task, "killed")
@@ -164,7 +162,7 @@ def test_a_file_that_killed_its_worker_is_tried_alone_at_the_end(settings: Batch
     assert len(summary.done) == 4
 
 
-def test_fail_fast_begins_nothing_more(settings: BatchSettings) -> None:
+def test_fail_fast_begins_nothing_more(settings):
     engine = Scripted(
         lambda task, _: failed(task, "InputError") if task.name == "b.npz" else finished(task)
     )
@@ -177,9 +175,7 @@ def test_fail_fast_begins_nothing_more(settings: BatchSettings) -> None:
 @pytest.mark.parametrize(
     ("signal_error", "code"), [(KeyboardInterrupt(), 130), (SystemExit(143), 143)]
 )
-def test_a_signal_is_noted_and_passed_on(
-    settings: BatchSettings, signal_error: BaseException, code: int
-) -> None:
+def test_a_signal_is_noted_and_passed_on(settings, signal_error, code):
     closed = []
 
     class Stopped(Scripted):
@@ -210,9 +206,7 @@ def test_a_signal_is_noted_and_passed_on(
     assert (len(summary.done), dict(summary.reasons)["unfinished"]) == (3, 2)
 
 
-def test_a_lost_lock_stops_the_run(
-    settings: BatchSettings, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lost_lock_stops_the_run(settings, monkeypatch):
     asked = []
 
     def check(self: Lock) -> None:
@@ -230,9 +224,7 @@ def test_a_lost_lock_stops_the_run(
 @pytest.mark.parametrize(
     "wrong", ["config", "archive", "out", "since", "pattern", "reference", "to"]
 )
-def test_nothing_is_made_when_something_is_wrong(
-    settings: BatchSettings, tmp_path: Path, wrong: str
-) -> None:
+def test_nothing_is_made_when_something_is_wrong(settings, tmp_path, wrong):
     changes: dict[str, Any] = {
         "config": {"config": ConfigLayers(options={"prc": {"nothing": 1}})},
         "archive": {"archive": tmp_path / "nothing"},
@@ -248,7 +240,7 @@ def test_nothing_is_made_when_something_is_wrong(
     assert len(list(settings.archive.iterdir())) == 4
 
 
-def test_the_exit_code_is_that_of_the_archive(settings: BatchSettings) -> None:
+def test_the_exit_code_is_that_of_the_archive(settings):
     """A failure or a doubt stands until its file is done, whatever a later run looks at."""
     odd = Finding("units", Verdict.DOUBTFUL, "the scanner is 9 m up", "at most 5 m")
 
@@ -278,7 +270,7 @@ def test_the_exit_code_is_that_of_the_archive(settings: BatchSettings) -> None:
 
 
 @pytest.mark.parametrize("damage", ["cut", "overwritten", "link"])
-def test_a_damaged_output_is_not_done(tmp_path: Path, damage: str) -> None:
+def test_a_damaged_output_is_not_done(tmp_path, damage):
     archive = tmp_path / "in"
     out = tmp_path / "out"
     archive.mkdir()
@@ -351,7 +343,7 @@ def tree(out: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.slow
-def test_the_same_bytes_whatever_the_number_of_workers(tmp_path: Path) -> None:
+def test_the_same_bytes_whatever_the_number_of_workers(tmp_path):
     fill(tmp_path / "in")
     outs = [tmp_path / "one", tmp_path / "two"]
     by_one, by_two = (
@@ -367,8 +359,8 @@ def test_the_same_bytes_whatever_the_number_of_workers(tmp_path: Path) -> None:
 
 
 def test_workers_that_cannot_be_started_leave_files_to_the_next_run(
-    settings: BatchSettings,
-) -> None:
+    settings,
+):
     class Broken(Scripted):
         def run(self, tasks: Iterable[Task], settings: EngineSettings) -> Iterator[Event]:
             yield Started(next(iter(tasks)).name, "here")
@@ -384,9 +376,7 @@ def test_workers_that_cannot_be_started_leave_files_to_the_next_run(
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals")
 
 
-def test_outputs_of_another_archive_are_not_replaced(
-    settings: BatchSettings, tmp_path: Path
-) -> None:
+def test_outputs_of_another_archive_are_not_replaced(settings, tmp_path):
     run_batch(settings, Scripted())
     before = {path.name: path.read_bytes() for path in settings.out.iterdir() if path.is_file()}
     archive = tmp_path / "other"

@@ -1,7 +1,5 @@
 """What a batch says of itself: summary, drift, the night's report, the page on operations."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -62,11 +60,11 @@ def evaluation(*, value: float) -> BatchEvaluation:
         ({"alarms": (ALARM,), "evaluation": evaluation(value=0.8), "failed": (FAILED,)}, 1),
     ],
 )
-def test_the_worst_decides_the_exit_code(changes: dict[str, object], code: int) -> None:
+def test_the_worst_decides_the_exit_code(changes, code):
     assert summary(**changes).exit_code == code
 
 
-def test_the_file_is_written_whole_and_each_shard_has_its_own(tmp_path: Path) -> None:
+def test_the_file_is_written_whole_and_each_shard_has_its_own(tmp_path):
     for shard in (None, Shard(1, 2), Shard(2, 2)):
         write_summary(summary(out=tmp_path, shard=shard))
     names = sorted(path.name for path in tmp_path.iterdir())
@@ -77,7 +75,7 @@ def test_the_file_is_written_whole_and_each_shard_has_its_own(tmp_path: Path) ->
 
 
 @pytest.fixture
-def settings(tmp_path: Path) -> BatchSettings:
+def settings(tmp_path):
     """Two drives; half of the second one's reference is wrong."""
     for folder in ("archive", "ref"):
         (tmp_path / folder).mkdir()
@@ -98,7 +96,7 @@ def settings(tmp_path: Path) -> BatchSettings:
 
 
 @pytest.mark.slow
-def test_a_night_is_told_beside_those_before(settings: BatchSettings) -> None:
+def test_a_night_is_told_beside_those_before(settings):
     summary = run_batch(settings, Scripted(work))
     assert summary.evaluation is not None
     page = (settings.out / "report.html").read_text(encoding="utf-8")
@@ -148,20 +146,20 @@ def kinds_in_code() -> set[str]:
     return {literal or constants[name] for literal, name in kinds if literal or name in constants}
 
 
-def test_every_error_of_the_package_has_its_entry() -> None:
+def test_every_error_of_the_package_has_its_entry():
     missing = subclasses(prc_cli.core.errors.PrcError) - entries()
     # classes that tests define are none of ours
     ours = {name for name in missing if hasattr(prc_cli.core.errors, name)}
     assert not ours
 
 
-def test_every_kind_of_problem_has_its_entry() -> None:
+def test_every_kind_of_problem_has_its_entry():
     kinds = kinds_in_code()
     assert {"killed", "timeout", "memory", "NoReference"} <= kinds
     assert not (kinds | {"interrupted", "OSError", "PermissionError"}) - entries()
 
 
-def test_the_page_on_operations_lists_the_exit_codes() -> None:
+def test_the_page_on_operations_lists_the_exit_codes():
     table = EXIT_CODES.partition("## Exit codes")[2].partition("\n## ")[0]
     assert [int(code) for code in re.findall(r"^\| (\d+) \|", table, re.MULTILINE)] == list(
         ExitCode
@@ -172,7 +170,7 @@ def files(*ground: int) -> list[dict[str, int]]:
     return [{"GROUND": n, "OBJECT": 1000 - n} for n in ground]
 
 
-def test_alarms_at_their_limits() -> None:
+def test_alarms_at_their_limits():
     usual = files(600, 610, 591, 605, 595, 600, 600, 600)
     far = {"GROUND": 100, "OBJECT": 900}
     assert (
@@ -202,9 +200,7 @@ def test_alarms_at_their_limits() -> None:
 @pytest.mark.parametrize(
     ("n_alike", "n_usual", "is_odd"), [(2, 20, True), (3, 20, False), (4, 90, True), (5, 90, False)]
 )
-def test_a_kind_of_drive_that_was_there_is_not_odd(
-    n_alike: int, n_usual: int, is_odd: bool
-) -> None:
+def test_a_kind_of_drive_that_was_there_is_not_odd(n_alike, n_usual, is_odd):
     for alike, expected in ((149, is_odd), (151, True)):
         earlier = files(*[600] * n_usual, *[alike] * n_alike)
         assert (drift({"GROUND": 100, "OBJECT": 900}, earlier) is not None) is expected

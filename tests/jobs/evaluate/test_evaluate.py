@@ -3,8 +3,6 @@
 The same pairs and matrix as counted one by one; pictures of both.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -109,12 +107,12 @@ def with_crs(path: Path, crs: int) -> Path:
 
 
 @pytest.fixture(scope="module")
-def drive() -> Drive:
+def drive():
     return Drive()
 
 
 @pytest.fixture(scope="module")
-def folder(drive: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(drive, tmp_path_factory):
     folder = tmp_path_factory.mktemp("drive")
     drive.write_labels(folder / "labels.npy")
     drive.write_points(folder / "raw.npz")
@@ -144,9 +142,7 @@ def by(match: str) -> dict[str, object]:
 
 
 @pytest.mark.parametrize("match", ["time", "dimension:record", "nearest"])
-def test_labels_alone_against_filtered_and_shuffled_tiles(
-    drive: Drive, folder: Path, match: str
-) -> None:
+def test_labels_alone_against_filtered_and_shuffled_tiles(drive, folder, match):
     evaluation = run(
         folder / "labels.npy", folder / "tiles", **by(match), predicted_points=folder / "raw.npz"
     )
@@ -161,7 +157,7 @@ def test_labels_alone_against_filtered_and_shuffled_tiles(
         )
 
 
-def test_parts_by_line_and_range(drive: Drive, folder: Path) -> None:
+def test_parts_by_line_and_range(drive, folder):
     for match in ("time", "nearest"):
         evaluation = run(
             folder / "labelled.npz",
@@ -187,7 +183,7 @@ def test_parts_by_line_and_range(drive: Drive, folder: Path) -> None:
         np.testing.assert_array_equal((near.matrix + far.matrix).counts, evaluation.matrix.counts)
 
 
-def test_returns_of_one_shot_are_told_apart(tmp_path: Path) -> None:
+def test_returns_of_one_shot_are_told_apart(tmp_path):
     time_s = np.array([1.0, 1.0, 2.0, 2.0, 3.0])
     number = np.array([1, 2, 1, 2, 1])
     codes = np.array([2, 5, 2, 6, 2])
@@ -206,8 +202,8 @@ def test_returns_of_one_shot_are_told_apart(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_pairs_of_unknown_range_are_a_part_and_parts_without_scored_pairs_are_left_out(
-    drive: Drive, folder: Path
-) -> None:
+    drive, folder
+):
     np.save(folder / "truth.npy", drive.truth)
     options = {"predicted_points": folder / "raw.npz", "split_range_m": (20.0, 40.0, 99.0)}
     evaluation = run(folder / "labels.npy", folder / "truth.npy", **options)
@@ -240,7 +236,7 @@ def refused(error: type[PrcError], act: Callable[[], object]) -> str:
     return str(caught.value)
 
 
-def test_poor_matches_are_refused(drive: Drive, folder: Path, tmp_path: Path) -> None:
+def test_poor_matches_are_refused(drive, folder, tmp_path):
     tiles = drive.write_tiles(tmp_path / "far", shift=5000.0)
     message = refused(InputError, lambda: run(folder / "labelled.npz", tiles, match="nearest"))
     assert "nothing overlaps; check that both are registered in one system" in message
@@ -261,7 +257,7 @@ def replace_time(path: Path, drive: Drive, shift_s: float) -> Path:
     return write_las(path, drive.xyz, drive.truth, gps_time=drive.time_s + shift_s)
 
 
-def test_other_coordinate_systems_are_refused_with_both_names(drive: Drive, tmp_path: Path) -> None:
+def test_other_coordinate_systems_are_refused_with_both_names(drive, tmp_path):
     here, there = (drive.write_tiles(tmp_path / str(crs), crs)[:1] for crs in (32635, 3067))
     mapping = ClassMapping(ignore=[0], predicted=MAPPING.reference, reference=MAPPING.reference)
 
@@ -307,15 +303,13 @@ def test_other_coordinate_systems_are_refused_with_both_names(drive: Drive, tmp_
         ({"split_scanner": True}, "no scanner to split by"),
     ],
 )
-def test_options_that_make_no_sense(
-    folder: Path, options: dict[str, object], expected: str
-) -> None:
+def test_options_that_make_no_sense(folder, options, expected):
     np.save(folder / "same.npy", np.ones(5, np.uint8) * 2)
     act = lambda: run(folder / "same.npy", folder / "same.npy", **options)  # noqa: E731
     assert expected.replace("class codes alone", "") in refused(ConfigError, act)
 
 
-def test_bad_inputs(drive: Drive, folder: Path, tmp_path: Path) -> None:
+def test_bad_inputs(drive, folder, tmp_path):
     np.save(tmp_path / "short.npy", drive.label[:-1])
     options = {"match": "time", "predicted_points": folder / "raw.npz"}
     message = refused(InputError, lambda: run(tmp_path / "short.npy", folder / "tiles", **options))
@@ -343,7 +337,7 @@ def test_bad_inputs(drive: Drive, folder: Path, tmp_path: Path) -> None:
         run(tmp_path / "odd.npy", folder / "tiles", **options)
 
 
-def test_two_scans_are_not_matched_by_cell(tmp_path: Path) -> None:
+def test_two_scans_are_not_matched_by_cell(tmp_path):
     """Wherever the lines, the columns or the ranges show it.
 
     Labels of a part begin at a line that nobody knows.
@@ -372,9 +366,7 @@ def test_two_scans_are_not_matched_by_cell(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("labels", "other"), [(".npy", ".laz"), (".csv", ".ply"), ("grid.csv", ".laz")]
 )
-def test_files_of_one_drive_are_matched_by_cell_where_their_numbers_differ(
-    tmp_path: Path, labels: str, other: str
-) -> None:
+def test_files_of_one_drive_are_matched_by_cell_where_their_numbers_differ(tmp_path, labels, other):
     image = street()
     np.savez(tmp_path / "s.npz", range_m=image, angle_deg=np.rad2deg(angles()))
     config = load_config(preset="prc-2019-urban")
@@ -423,7 +415,7 @@ def draw(
     ]
 
 
-def test_cells_have_the_colours_of_their_classes(tmp_path: Path) -> None:
+def test_cells_have_the_colours_of_their_classes(tmp_path):
     # three lines of two shots; records of an unfinished line are left out
     (title, first), (_, second), (_, differ) = draw(
         tmp_path, [2, 7, 2, 2, 0, 2, 2], [2, 2, 65, 0, 2, 2, 2], 2
@@ -446,9 +438,7 @@ def test_cells_have_the_colours_of_their_classes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rising", [True, False])
-def test_the_sky_is_at_the_top_whichever_way_the_columns_run(
-    tmp_path: Path, *, rising: bool
-) -> None:
+def test_the_sky_is_at_the_top_whichever_way_the_columns_run(tmp_path, *, rising):
     m = 60
     n = 40
     beam = np.deg2rad(np.linspace(20, 120, m))

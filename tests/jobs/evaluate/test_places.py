@@ -1,10 +1,7 @@
 """Places where two labellings differ: planted errors, files, pictures, commands."""
 
-from __future__ import annotations
-
 import csv
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -49,7 +46,7 @@ def planted_errors(town: Town, n: int) -> tuple[I64, I64]:
 
 
 @pytest.mark.parametrize("is_shuffled", [False, True], ids=["order", "nearest"])
-def test_planted_errors_of_a_car_are_listed_first(tmp_path: Path, *, is_shuffled: bool) -> None:
+def test_planted_errors_of_a_car_are_listed_first(tmp_path, *, is_shuffled):
     town = Town()
     codes, sphere = planted_errors(town, 40)
     order = np.arange(len(codes))
@@ -85,7 +82,7 @@ def differing(n: int, seed: int = 1) -> Differing:
     )
 
 
-def test_places_do_not_depend_on_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_places_do_not_depend_on_chunks(monkeypatch):
     records = differing(3000)
     lists = []
     for size in (6000, 700, 61):
@@ -102,7 +99,7 @@ def test_places_do_not_depend_on_chunks(monkeypatch: pytest.MonkeyPatch) -> None
     assert lists[0][0].reason == 3
 
 
-def test_large_places_survive_when_memory_is_full(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_places_survive_when_memory_is_full(monkeypatch):
     monkeypatch.setattr("prc_cli.evaluation.places.MAX_CELLS", 1000)
     monkeypatch.setattr("prc_cli.evaluation.places._MAX_UNMERGED", 500)
     finder = PlaceFinder(in_space=True)
@@ -114,7 +111,7 @@ def test_large_places_survive_when_memory_is_full(monkeypatch: pytest.MonkeyPatc
     assert sum(place.n_records for place in places) > 0.95 * 20_000
 
 
-def test_lines_and_columns_make_places_of_one_file_each() -> None:
+def test_lines_and_columns_make_places_of_one_file_each():
     line, column = (part.ravel() for part in np.mgrid[0:6, 0:40])
     record = np.arange(240)
     values = {
@@ -140,7 +137,7 @@ def listed(places: list[Place], crs: str | None = None) -> Places:
     return Places(tuple(ListedPlace(place, "a.las", "a rule", "prc") for place in places), 7, crs)
 
 
-def test_files_say_the_same_and_name_the_coordinate_system() -> None:
+def test_files_say_the_same_and_name_the_coordinate_system():
     finder = PlaceFinder(in_space=True)
     finder.add(differing(3000))
     places = listed(best_first(finder.places(NAMES, NAMES)), "EPSG:25832")
@@ -154,7 +151,7 @@ def test_files_say_the_same_and_name_the_coordinate_system() -> None:
     assert "crs" not in json.loads(places_geojson(listed([])))
 
 
-def test_labels_alone_have_places_by_line_and_pictures(tmp_path: Path) -> None:
+def test_labels_alone_have_places_by_line_and_pictures(tmp_path):
     codes = np.full((60, 80), 2, np.uint8)
     codes[:, 40:] = 6
     reference = codes.copy()

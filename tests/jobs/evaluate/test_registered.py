@@ -1,8 +1,6 @@
 """A registered reference: its area, heights, trees and noise, what is wrong with it, a third
 labelling, raw drives."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re
@@ -51,12 +49,12 @@ class Town:
 
 
 @pytest.fixture(scope="module")
-def town() -> Town:
+def town():
     return Town()
 
 
 @pytest.fixture(scope="module")
-def folder(town: Town, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(town, tmp_path_factory):
     folder = tmp_path_factory.mktemp("town")
     write_las(folder / "run.las", town.xyz, town.labels)
     tiles(town, folder / "tiles")
@@ -91,7 +89,7 @@ def noted(evaluation: Evaluation, text: str) -> str:
 
 
 @pytest.mark.slow
-def test_noise_is_what_the_reference_lacks(town: Town, folder: Path) -> None:
+def test_noise_is_what_the_reference_lacks(town, folder):
     noise = town.codes == 7
     said = town.labels == 7
     true = (noise & said).sum() / noise.sum(), (noise & said).sum() / said.sum()
@@ -116,11 +114,11 @@ def test_noise_is_what_the_reference_lacks(town: Town, folder: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["bounds", "polygon"])
 def test_an_area_leaves_out_the_rest(
-    town: Town,
-    folder: Path,
-    tmp_path: Path,
-    kind: str,
-) -> None:
+    town,
+    folder,
+    tmp_path,
+    kind,
+):
     area = "10,0,30,12"
     if kind == "polygon":
         pytest.importorskip("shapely")
@@ -144,7 +142,7 @@ def test_an_area_leaves_out_the_rest(
 
 
 @pytest.mark.slow
-def test_heights_and_trees(town: Town, folder: Path, tmp_path: Path) -> None:
+def test_heights_and_trees(town, folder, tmp_path):
     evaluation = run(folder, height=(1.0, 3.0), tolerance=0.3)
     rows = dict(
         zip(evaluation.matrix.reference_names, evaluation.matrix.counts.sum(axis=1), strict=True)
@@ -164,7 +162,7 @@ def test_heights_and_trees(town: Town, folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_wrong_with_a_reference_is_said(town: Town, folder: Path, tmp_path: Path) -> None:
+def test_what_is_wrong_with_a_reference_is_said(town, folder, tmp_path):
     cases = (
         ("shift", {"shift": 1.0}, "shifted by 1.0"),
         ("gap", {"drop": 2}, "x 48 to 80, y 0 to 32, where"),
@@ -196,7 +194,7 @@ def test_what_is_wrong_with_a_reference_is_said(town: Town, folder: Path, tmp_pa
         )
 
 
-def test_three_labellings(town: Town, folder: Path, tmp_path: Path) -> None:
+def test_three_labellings(town, folder, tmp_path):
     third = np.where(town.codes == 65, 6, town.codes)
     path = write_las(tmp_path / "third.las", town.xyz, third)
     truth = write_las(tmp_path / "truth.las", town.xyz, town.codes)
@@ -232,12 +230,12 @@ def test_three_labellings(town: Town, folder: Path, tmp_path: Path) -> None:
     ],
 )
 def test_options_that_cannot_be_used(
-    folder: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    options: dict[str, Any],
-    message: str,
-) -> None:
+    folder,
+    tmp_path,
+    monkeypatch,
+    options,
+    message,
+):
     pytest.importorskip("shapely")
     monkeypatch.chdir(tmp_path)
     Path("bad.geojson").write_text("{}")
@@ -261,7 +259,7 @@ def turn(roll: float, pitch: float, yaw: float) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def drive(tmp_path_factory):
     """A drive through nowhere: ranges, labels, poses at every line, and the same shots
     registered."""
     folder = tmp_path_factory.mktemp("raw")
@@ -303,7 +301,7 @@ def evaluate(drive: Path, *arguments: str, poses: str = "poses.csv") -> Any:
 
 
 @pytest.mark.parametrize("poses", ["poses.csv", "compass.csv"])
-def test_every_shot_finds_its_own_point(drive: Path, poses: str) -> None:
+def test_every_shot_finds_its_own_point(drive, poses):
     done = evaluate(drive, "--mount", MOUNT, "--max-distance", "0.01", poses=poses)
     assert done.exit_code == 0, done.output
     scores = json.loads(done.stdout)
@@ -312,7 +310,7 @@ def test_every_shot_finds_its_own_point(drive: Path, poses: str) -> None:
     assert scores["classes"]["ground"]["f1"] == scores["classes"]["building"]["f1"] == 1.0
 
 
-def test_transfer_places_the_shots_too(drive: Path, tmp_path: Path) -> None:
+def test_transfer_places_the_shots_too(drive, tmp_path):
     out = tmp_path / "out.laz"
     las = laspy.read(drive / "registered.laz")
     truth = np.array(las.classification)
@@ -337,17 +335,17 @@ def test_transfer_places_the_shots_too(drive: Path, tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_place_shots_is_refused(
-    drive: Path,
-    arguments: tuple[str, ...],
-    poses: str,
-    message: str,
-) -> None:
+    drive,
+    arguments,
+    poses,
+    message,
+):
     done = evaluate(drive, *arguments, poses=poses)
     assert done.exit_code in (1, 2)
     assert message in f"{done.output} {done.exception}"
 
 
-def test_rings_without_azimuths_are_refused(drive: Path, tmp_path: Path) -> None:
+def test_rings_without_azimuths_are_refused(drive, tmp_path):
     with np.load(drive / "drive.npz") as kept:
         fan = {**kept, "angle_deg": np.linspace(65, 105, M)}
     np.savez(tmp_path / "drive.npz", **fan)
@@ -358,15 +356,15 @@ def test_rings_without_azimuths_are_refused(drive: Path, tmp_path: Path) -> None
     assert "their azimuths are not known" in f"{done.output} {done.exception}"
 
 
-def test_a_wrong_mount_is_refused_or_scores_nothing(drive: Path) -> None:
+def test_a_wrong_mount_is_refused_or_scores_nothing(drive):
     done = evaluate(drive, "--max-distance", "0.05")
     assert done.exit_code == 1
     assert "found a partner" in f"{done.output} {done.exception}"
 
 
 def test_a_registered_reference_is_refused_by_order_with_the_option_that_reads_it(
-    town: Town, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    town, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     write_las(Path("classified.las"), town.xyz, town.labels)
     write_las(Path("car.las"), town.xyz[town.codes != 7][::-2], town.codes[town.codes != 7][::-2])

@@ -1,7 +1,5 @@
 """Runs become objects, line by line."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -62,7 +60,7 @@ def scene() -> tuple[U8, F32]:
 
 
 @pytest.mark.parametrize("cut", [1, 4, 30])
-def test_stems_are_told_once_each(cut: int) -> None:
+def test_stems_are_told_once_each(cut):
     labels, range_m = scene()
     first, second = grown(labels, range_m, cut)
     assert (first.kind, first.first_line, first.last_line) == ("stem", 2, 6)
@@ -83,7 +81,7 @@ def test_stems_are_told_once_each(cut: int) -> None:
     assert np.isnan(first.x)
 
 
-def test_small_things_and_far_lines_are_not_joined() -> None:
+def test_small_things_and_far_lines_are_not_joined():
     labels, range_m = scene()
     labels[:, :] = np.where(labels == Label.STEM, labels, Label.GROUND)
     labels[6:12] = Label.GROUND
@@ -92,7 +90,7 @@ def test_small_things_and_far_lines_are_not_joined() -> None:
     assert [(stem.first_line, stem.last_line) for stem in grown(labels, range_m)] == [(2, 5)]
 
 
-def test_long_objects_are_cut_and_lines_are_counted_from_the_first() -> None:
+def test_long_objects_are_cut_and_lines_are_counted_from_the_first():
     labels = np.full((25, len(BEAM)), Label.CURB, np.uint8)
     range_m = np.tile(3.0 / np.sin(BEAM), (25, 1)).astype(np.float32)
     labels[:, 3:] = Label.GROUND
@@ -100,7 +98,7 @@ def test_long_objects_are_cut_and_lines_are_counted_from_the_first() -> None:
     assert [(curb.first_line, curb.last_line) for curb in curbs] == [(0, 9), (10, 19), (20, 24)]
 
 
-def test_two_parts_become_one_where_they_meet() -> None:
+def test_two_parts_become_one_where_they_meet():
     labels = np.full((4, len(BEAM)), Label.GROUND, np.uint8)
     range_m = np.tile(3.0 / np.sin(BEAM), (4, 1)).astype(np.float32)
     labels[0:2, 5:15] = labels[0:2, 60:80] = Label.CURB
@@ -109,7 +107,7 @@ def test_two_parts_become_one_where_they_meet() -> None:
     assert (curb.first_line, curb.n_shots) == (0, 2 * 30 + 2 * 75)
 
 
-def test_coordinates_are_the_middle_of_the_known_ones() -> None:
+def test_coordinates_are_the_middle_of_the_known_ones():
     labels, range_m = scene()
     xyz = np.zeros((*labels.shape, 3))
     xyz[..., 0] = 100.0
@@ -121,7 +119,7 @@ def test_coordinates_are_the_middle_of_the_known_ones() -> None:
     assert first.y == pytest.approx((70 * 3 + 80 * 5 + 80 * 6) / 230)
 
 
-def test_runs_end_at_jumps_other_classes_and_gaps() -> None:
+def test_runs_end_at_jumps_other_classes_and_gaps():
     labels = np.full((1, len(BEAM)), Label.STEM, np.uint8)
     range_m = np.full(labels.shape, 4.0, np.float32)
     labels[0, 10:13] = Label.GROUND  # three shots are too many
@@ -135,7 +133,7 @@ def test_runs_end_at_jumps_other_classes_and_gaps() -> None:
 
 
 @pytest.mark.parametrize(("n_lines", "n_stems"), [(2, 1), (3, 2)])
-def test_a_gap_is_bridged_up_to_the_limit_of_its_rule(n_lines: int, n_stems: int) -> None:
+def test_a_gap_is_bridged_up_to_the_limit_of_its_rule(n_lines, n_stems):
     labels, range_m = scene()
     lines = [15, 16, *[0] * n_lines, 15, 16]
     assert len(grown(labels[lines], range_m[lines])) == n_stems

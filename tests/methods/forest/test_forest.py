@@ -3,8 +3,6 @@
 Hand-made scenes, single steps, and a simulated walk.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 
@@ -70,7 +68,7 @@ def count(labels: U8, where: Any) -> dict[str, int]:
     return {label.name: n for label, n in zip(Label, counts.tolist(), strict=True) if n}
 
 
-def test_a_stem_stands_on_the_ground_from_foot_to_crown() -> None:
+def test_a_stem_stands_on_the_ground_from_foot_to_crown():
     ranges = image(ground(), stem(5.0))
     labels = labels_of(ranges)
     high = -ranges * np.cos(BEAM) + HEIGHT_M
@@ -79,7 +77,7 @@ def test_a_stem_stands_on_the_ground_from_foot_to_crown() -> None:
     assert set(count(labels, high < 0.02)) == {"GROUND"}
 
 
-def test_noise_is_alone_or_below_the_ground() -> None:
+def test_noise_is_alone_or_below_the_ground():
     ranges = image(ground())
     sky = int(np.flatnonzero(SKY)[3])
     soil = int(np.argmin(np.abs(BEAM - 0.5)))
@@ -104,7 +102,7 @@ def walk() -> tuple[F32, F64, U8]:
 
 
 @pytest.mark.slow
-def test_stems_and_ground_of_a_simulated_walk() -> None:
+def test_stems_and_ground_of_a_simulated_walk():
     """Fewer lines and columns than a user has.
 
     The figures of whole walks are in the documentation.

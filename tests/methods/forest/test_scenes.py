@@ -1,7 +1,5 @@
 """The rules of the forest, one small scene each: what a shot is like, and the right rule."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -27,9 +25,7 @@ from prc_cli.methods.forest.thresholds import FOREST
         (Reason.PLANT, 0.1, 5.2, False),  # low, but its neighbours are higher
     ],
 )
-def test_the_right_rule_decides_in_a_forest(
-    right: Reason, height_m: float, range_m: float, is_stem: bool
-) -> None:
+def test_the_right_rule_decides_in_a_forest(right, height_m, range_m, is_stem):
     """The shot is the third of five, all others on a stem, the last two at its height."""
     ranges = np.full((1, 5), 5.0, np.float32)
     heights = np.full((1, 5), 1.0, np.float32)
@@ -40,7 +36,7 @@ def test_the_right_rule_decides_in_a_forest(
     assert Reason(rules[0, 2]).name == right.name
 
 
-def test_low_and_flat_is_ground_in_a_forest() -> None:
+def test_low_and_flat_is_ground_in_a_forest():
     heights = np.array([[0.12, 0.13, 0.14, 0.15, 0.30]], np.float32)
     ranges = np.array([[5.0, 5.1, 5.2, 5.3, 5.4]], np.float32)
     rules = forest_labels(ranges, heights, np.zeros((1, 5), np.bool_), 2, FOREST.classes)

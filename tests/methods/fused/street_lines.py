@@ -3,8 +3,6 @@
 Road, kerbs, facades, a hedge, a parked car, stray points.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,9 +1,6 @@
 """Labels do not depend on the lines per block; constants that stages and loops share are equal."""
 
-from __future__ import annotations
-
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -56,7 +53,7 @@ def changed(range_m: F32, beam_rad: F64, *sizes: int) -> list[float]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scanner", ["photon-80", "sick-push-broom"])
-def test_on_a_street(scanner: str) -> None:
+def test_on_a_street(scanner):
     """With range noise that is measured anew along the way, and cars that are found by lines on
     both sides."""
     options = {
@@ -79,7 +76,7 @@ def test_on_a_street(scanner: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.data
-def test_on_a_push_broom_strip(real_data: Path) -> None:
+def test_on_a_push_broom_strip(real_data):
     """Some of its lines are so close together that every second one is a stream of its own."""
     table = np.genfromtxt(
         real_data / "oakland" / "oakland_2.csv.gz", delimiter=",", skip_header=1, usecols=(0, 2, 3)
@@ -91,14 +88,14 @@ def test_on_a_push_broom_strip(real_data: Path) -> None:
 
 
 @pytest.mark.parametrize("n", [100, 101, 102, 200, 201])
-def test_the_noise_is_by_the_median(n: int) -> None:
+def test_the_noise_is_by_the_median(n):
     values = np.random.default_rng(n).choice(np.array([0.5, 1.0, 2.5, 7.0], np.float32), n)
     deviation = float(np.median(values)) / (NORMAL_QUARTILE * math.sqrt(MIDDLE_OF_THREE))
     assert range_noise(values) == deviation
 
 
 @pytest.mark.parametrize(("n", "is_known"), [(100, True), (99, False)])
-def test_noise_takes_a_hundred_triples_of_shots(n: int, is_known: bool) -> None:
+def test_noise_takes_a_hundred_triples_of_shots(n, is_known):
     side: F32 = np.linspace(1, 9, n + 2, dtype=np.float32)[None]
     height = np.random.default_rng(2).normal(-2, 0.01, side.shape).astype(np.float32)
     assert (range_noise(off_lines(side, height)) is not None) is is_known
@@ -123,7 +120,7 @@ def in_step(range_m: F32, interlace_rad: float = STREET.interlace_rad) -> F32:
 
 
 @pytest.mark.parametrize("late", [0.5, -0.5])
-def test_odd_columns_are_moved_by_half_a_line(late: float) -> None:
+def test_odd_columns_are_moved_by_half_a_line(late):
     odd = np.where(np.arange(len(BEAM)) % 2 == 1, late, 0.0)
     moved = in_step(wall(odd))
     inner = slice(1, -1)
@@ -131,7 +128,7 @@ def test_odd_columns_are_moved_by_half_a_line(late: float) -> None:
     assert np.array_equal(moved[:, ::2], wall(odd)[:, ::2])
 
 
-def test_lines_may_begin_with_either_half() -> None:
+def test_lines_may_begin_with_either_half():
     odd = np.arange(len(BEAM)) % 2 == 1
     first = wall(np.where(odd, 0.5, 0.0))[:30]
     second = wall(np.where(odd, -0.5, 0.0), lines=60)[30:]
@@ -142,7 +139,7 @@ def test_lines_may_begin_with_either_half() -> None:
     assert off[38:-1].max() < 0.03
 
 
-def test_others_stay() -> None:
+def test_others_stay():
     odd = np.where(np.arange(len(BEAM)) % 2 == 1, 0.5, 0.0)
     level = wall(0 * odd)
     leaves = (level + np.random.default_rng(5).uniform(-1, 1, level.shape)).astype(np.float32)
@@ -152,13 +149,13 @@ def test_others_stay() -> None:
     assert in_step(wall(odd), np.deg2rad(0.6)).tolist() == wall(odd).tolist()
 
 
-def test_missing_shots_stay_missing() -> None:
+def test_missing_shots_stay_missing():
     ranges = wall(np.where(np.arange(len(BEAM)) % 2 == 1, 0.5, 0.0))
     ranges[10:12, 5:9] = np.nan
     assert np.array_equal(np.isnan(in_step(ranges)), np.isnan(ranges))
 
 
-def test_evidence_of_streams_is_put_together_by_lines() -> None:
+def test_evidence_of_streams_is_put_together_by_lines():
     """Lines are from the stream that their spacing asks for; those beside the block are empty."""
 
     def evidence(first: int, every: int) -> Evidence:
@@ -187,9 +184,7 @@ def test_evidence_of_streams_is_put_together_by_lines() -> None:
 @pytest.mark.parametrize(
     ("first", "every", "n_lines"), [(0, 1, 5), (1, 2, 4), (2, 3, 91), (5, 8, 11)]
 )
-def test_lines_beyond_the_window_are_the_outermost_of_the_stream(
-    first: int, every: int, n_lines: int
-) -> None:
+def test_lines_beyond_the_window_are_the_outermost_of_the_stream(first, every, n_lines):
     begin = pipeline.SPACED_LINES + first
     there = np.arange(begin % every, n_lines + 2 * pipeline.SPACED_LINES, every)
     n = len(range(first, n_lines, every))
@@ -198,14 +193,14 @@ def test_lines_beyond_the_window_are_the_outermost_of_the_stream(
     np.testing.assert_array_equal(pipeline._rows_of_stream(first, every, n_lines), nearest)
 
 
-def test_stages_and_loops_agree_on_what_lies_around_a_block() -> None:
+def test_stages_and_loops_agree_on_what_lies_around_a_block():
     assert plane.INNER_LINES == fused_neighbours.LINES
     assert plane.WIDE_LINES == fused_strips.LINES == fused_texture.LINES
     assert PART_LINES <= pipeline.SPACED_LINES
     assert plane.INNER_LINES + plane.WIDE_LINES + plane.VOTE_LINES == plane.AROUND_LINES
 
 
-def test_stages_and_loops_agree_on_places_beside_the_scanner() -> None:
+def test_stages_and_loops_agree_on_places_beside_the_scanner():
     assert 2 * fused_classes.HALF_STRIP_M == fused_strips.STRIP_M
     # the walk reaches as far as the strips do
     assert 2 * fused_ground.BINS * fused_ground.BIN_M == fused_strips.STRIPS * fused_strips.STRIP_M

@@ -3,16 +3,13 @@
 What they are, and what they are without their steps.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 import pytest
 
 from prc_cli.core.classes import Label
-from prc_cli.core.types import F32, F64, U8, Mask
+from prc_cli.core.types import F32, F64, Mask
 from prc_cli.methods.fused.pipeline import FusedScanner
 from prc_cli.methods.fused.thresholds import Foliage
 from tests.methods.fused.street_lines import (
@@ -39,11 +36,11 @@ def surface(side_m: float, low_m: float, high_m: float) -> F64:
 
 
 @pytest.fixture(scope="module")
-def street() -> tuple[F32, U8]:
+def street():
     return street_lines(48)
 
 
-def test_a_curb_is_the_step_between_road_and_sidewalk(street: tuple[F32, U8]) -> None:
+def test_a_curb_is_the_step_between_road_and_sidewalk(street):
     ranges, kind = street
     is_curb = classified(ranges) == Label.CURB
     height = HEIGHT_M - ranges * DOWN
@@ -68,7 +65,7 @@ def van(ranges: F32) -> tuple[F32, Mask]:
     return np.where(hit, flank + noise, ranges).astype(np.float32), hit
 
 
-def test_a_van_is_no_wall(street: tuple[F32, U8]) -> None:
+def test_a_van_is_no_wall(street):
     ranges, hit = van(street[0])
     labels = classified(ranges)
     missed = classified(ranges, flanks=None)
@@ -91,13 +88,13 @@ def with_box(ranges: F32, lines: slice, deep_m: float) -> tuple[F32, Mask]:
     return boxed, hit & (HEIGHT_M - boxed * DOWN > 0.45)
 
 
-def test_a_bin_is_street_furniture(street: tuple[F32, U8]) -> None:
+def test_a_bin_is_street_furniture(street):
     ranges, hit = with_box(street[0], slice(4, 10), 0.5)
     assert (classified(ranges)[hit] == Label.POLE).mean() > 0.9
     assert not (classified(ranges, decision={"box_m": 0.0})[hit] == Label.POLE).any()
 
 
-def test_a_lamp_post_is_a_pole(street: tuple[F32, U8]) -> None:
+def test_a_lamp_post_is_a_pole(street):
     ranges = street[0].copy()
     post = surface(-3.0, 0.0, 5.0)
     hit = np.zeros(ranges.shape, np.bool_)
@@ -107,7 +104,7 @@ def test_a_lamp_post_is_a_pole(street: tuple[F32, U8]) -> None:
     assert (classified(ranges)[high] == Label.POLE).mean() > 0.7
 
 
-def test_a_post_goes_on_beyond_single_shots_that_miss_it(street: tuple[F32, U8]) -> None:
+def test_a_post_goes_on_beyond_single_shots_that_miss_it(street):
     ranges = street[0].copy()
     post = surface(-3.0, 0.5, 5.0)
     hit = np.flatnonzero(np.isfinite(post))
@@ -119,12 +116,12 @@ def test_a_post_goes_on_beyond_single_shots_that_miss_it(street: tuple[F32, U8])
 
 
 @pytest.mark.parametrize(("n_columns", "reach"), [(47, 1), (48, 2)])
-def test_few_rings_are_not_followed_beyond_missed_shots(n_columns: int, reach: int) -> None:
+def test_few_rings_are_not_followed_beyond_missed_shots(n_columns, reach):
     beams = np.deg2rad(np.linspace(60, 100, n_columns))
     assert FusedScanner.of(beams).limits.columns.reach == reach
 
 
-def test_a_person_is_no_thing_of_the_street(street: tuple[F32, U8]) -> None:
+def test_a_person_is_no_thing_of_the_street(street):
     ranges = street[0].copy()
     hit = np.zeros(street[0].shape, np.bool_)
     legs = surface(-3.15, 0.0, 0.85)
@@ -164,9 +161,7 @@ def corner(off: float) -> float:
         (corner, Label.BUILDING),
     ],
 )
-def test_what_stands_alone_is_a_wall_only_if_not_round(
-    street: tuple[F32, U8], nearer_m: Callable[[float], float], label: Label
-) -> None:
+def test_what_stands_alone_is_a_wall_only_if_not_round(street, nearer_m, label):
     ranges = street[0].copy()
     hit = np.zeros(street[0].shape, np.bool_)
     for line in range(18, 30):  # between the car's lines and the ends
@@ -179,14 +174,14 @@ def test_what_stands_alone_is_a_wall_only_if_not_round(
     assert (classified(ranges, columns={"lines": -1})[high] == Label.BUILDING).mean() > 0.9
 
 
-def test_rooms_have_no_cars(street: tuple[F32, U8]) -> None:
+def test_rooms_have_no_cars(street):
     ranges, hit = van(street[0])
     near = np.where(ranges < 5.8, ranges, np.float32(np.nan))
     assert not (classified(near) == Label.CAR).any()
     assert (classified(near, room_m=0.0)[hit & ~np.isnan(near)] == Label.CAR).mean() > 0.3
 
 
-def test_columns_far_apart_are_looked_at_again_whatever_their_smooth_pairs() -> None:
+def test_columns_far_apart_are_looked_at_again_whatever_their_smooth_pairs():
     foliage = Foliage(depth_m=2.0, depth_pairs=3, depth_step_rad=0.25)
     assert [foliage.thresholds(0.5, step) for step in (0.2, 0.25)] == [(0.5, 2, 3), (0.5, 2, 0)]
     assert foliage._replace(at_depth=False).thresholds(0.5, 0.2) == (0, 2, 3)

@@ -3,10 +3,6 @@
 What it means, where it is written, and what it does not depend on.
 """
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -28,7 +24,7 @@ def confidence(ranges: F32, preset: str = "fused") -> U8:
 
 
 @pytest.mark.parametrize("preset", ["fused", "fused-forest"])
-def test_it_is_a_percentage_of_every_return(preset: str) -> None:
+def test_it_is_a_percentage_of_every_return(preset):
     ranges = street_lines(140)[0]
     percentages = confidence(ranges, preset)
     assert (percentages.dtype, percentages.shape) == (np.uint8, ranges.shape)
@@ -38,7 +34,7 @@ def test_it_is_a_percentage_of_every_return(preset: str) -> None:
     assert 90 < there.max() <= 100
 
 
-def test_labels_are_the_same_without_it() -> None:
+def test_labels_are_the_same_without_it():
     block = ScanBlock(0, street_lines(140)[0], beam_rad=BEAM, is_last=True)
     params = load_config(preset="fused").config.classifier
     on, off = (
@@ -51,7 +47,7 @@ def test_labels_are_the_same_without_it() -> None:
         assert without_it.extra_confidence is None
 
 
-def test_stray_points_take_confidence_from_a_road() -> None:
+def test_stray_points_take_confidence_from_a_road():
     ranges = street_lines(140)[0]
     road = np.abs(np.rad2deg(BEAM)) < 20
     plain = confidence(ranges)[40:60, road]
@@ -63,7 +59,7 @@ def test_stray_points_take_confidence_from_a_road() -> None:
     assert rough.mean() < plain.mean() - 5
 
 
-def test_further_returns_have_that_of_the_shot_whose_label_they_take() -> None:
+def test_further_returns_have_that_of_the_shot_whose_label_they_take():
     ranges = street_lines(140)[0]
     line = np.array([10, 10], np.int32)
     column = np.array([200, 200], np.int32)
@@ -84,7 +80,7 @@ def test_further_returns_have_that_of_the_shot_whose_label_they_take() -> None:
 
 
 @pytest.mark.parametrize("preset", ["prc-2019-urban", "street-scan", None])
-def test_other_methods_refuse_it(tmp_path: Path, preset: str | None) -> None:
+def test_other_methods_refuse_it(tmp_path, preset):
     angles = {} if preset is None else {"angle_deg": np.rad2deg(BEAM)}
     few = 12 if preset is None else 1  # columns, too few to measure their angles
     np.savez(tmp_path / "s.npz", range_m=street_lines(140)[0][:, ::few], **angles)
@@ -98,7 +94,7 @@ def test_other_methods_refuse_it(tmp_path: Path, preset: str | None) -> None:
 
 
 @pytest.mark.parametrize("environment", ["urban", "forest"])
-def test_every_label_has_its_questions_and_its_row(environment: str) -> None:
+def test_every_label_has_its_questions_and_its_row(environment):
     place = "forest" if environment == "forest" else "urban"
     method = load_config(
         preset="fused" if place == "urban" else "fused-forest"

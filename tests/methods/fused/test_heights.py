@@ -1,9 +1,6 @@
 """Heights above the ground, of every method that has one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +13,7 @@ from tests.methods.fused.street_lines import BEAM, BUILDING, GROUND, HEIGHT_M, r
 
 
 @pytest.mark.parametrize("preset", ["fused", "fused-forest", "street-scan"])
-def test_heights_are_those_above_the_road(preset: str) -> None:
+def test_heights_are_those_above_the_road(preset):
     ranges, kind = street_lines(150)
     above_m = results(preset, "above_m", ranges)
     assert above_m.dtype == np.float32
@@ -31,7 +28,7 @@ def test_heights_are_those_above_the_road(preset: str) -> None:
     )  # the sidewalk before it is 0.12 m higher
 
 
-def test_a_leaning_plane_has_true_heights() -> None:
+def test_a_leaning_plane_has_true_heights():
     ranges = street_lines(20)[0]
     up = -ranges * np.cos(BEAM) * 0.8
     xyz = np.stack(
@@ -45,7 +42,7 @@ def test_a_leaning_plane_has_true_heights() -> None:
     np.testing.assert_array_equal(true_heights(above, replace(block, xyz_m=None))[1:], above[1:])
 
 
-def test_prc_has_none(tmp_path: Path) -> None:
+def test_prc_has_none(tmp_path):
     np.savez(tmp_path / "s.npz", range_m=street_lines(140)[0], angle_deg=np.rad2deg(BEAM))
     config = load_config(preset="prc-2019-urban", options={"output": {"stages": True}})
     classify(tmp_path / "s.npz", tmp_path / "o.csv", config)
@@ -53,7 +50,7 @@ def test_prc_has_none(tmp_path: Path) -> None:
     assert heading == "record,class,name,critical_zeta_p,critical_zeta_s"
 
 
-def test_a_stream_may_begin_amid_a_line_below_eaves() -> None:
+def test_a_stream_may_begin_amid_a_line_below_eaves():
     ranges = street_lines(60)[0]
     degrees = np.rad2deg(BEAM)
     ranges[0] = np.where((degrees > 100) & (degrees < 110), -0.3 / np.cos(BEAM), np.nan)

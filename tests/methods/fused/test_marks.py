@@ -1,7 +1,5 @@
 """Which shots are leaves, and which are on a level surface: at every limit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -31,9 +29,7 @@ LEAVES = SpacingThresholds(np.float32(0.125), np.float32(0.0), np.float32(1.0))
 )
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize(("off_m", "is_met"), [(0.0, True), (0.0625, True), (0.125, False)])
-def test_leaves_of_a_line_that_earlier_lines_meet_again(
-    steps_m: list[float], n_leaves: int, turned: bool, off_m: float, is_met: bool
-) -> None:
+def test_leaves_of_a_line_that_earlier_lines_meet_again(steps_m, n_leaves, turned, off_m, is_met):
     line = 5.0 + np.cumsum([0.0, *steps_m])
     lines = np.tile(line[::-1] if turned else line, (MOST_LAG + 1, 1)).astype(np.float32)
     lines[:-1] += np.float32(off_m)
@@ -51,9 +47,7 @@ def test_leaves_of_a_line_that_earlier_lines_meet_again(
         (LEAST_NEAR, 1, 1, 2, True),
     ],
 )
-def test_the_walk_uses_level_shots_alone(
-    near: int, smooth: int, upright: int, level: int, is_level: bool
-) -> None:
+def test_the_walk_uses_level_shots_alone(near, smooth, upright, level, is_level):
     beam = np.deg2rad(np.linspace(-60.0, 60.0, 121))
     road = np.tile(2.0 / np.cos(beam), (3, 1)).astype(np.float32)
     counts = (np.full(road.shape, count, np.uint8) for count in (near, smooth, upright, level))

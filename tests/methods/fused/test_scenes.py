@@ -4,8 +4,6 @@ The shots of a street are a patch of a smooth upright wall, 5 m to the right of 
 above the ground, but for what a row says.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from inspect import getsource
@@ -194,7 +192,7 @@ def reasons(
         (Reason.SMOOTH, {"texture": 0.3, "wall_ahead_m": 6.0}),  # a balcony
     ],
 )  # fmt: skip
-def test_the_right_rule_decides(right: Reason, shot: dict[str, Any]) -> None:
+def test_the_right_rule_decides(right, shot):
     assert Reason(reasons(**shot)[M // 2]).name == right.name
 
 
@@ -207,7 +205,7 @@ def rules_of_code() -> list[tuple[str, str]]:
     return [(label, name.lower()) for name, label in rules]
 
 
-def test_code_and_pages_have_the_rules_in_the_same_order() -> None:
+def test_code_and_pages_have_the_rules_in_the_same_order():
     rules = rules_of_code()
     assert [LABEL_NAMES[LABELS_BY_REASON[Reason[name.upper()]]] for _, name in rules] == [
         label for label, _ in rules
@@ -221,11 +219,11 @@ def test_code_and_pages_have_the_rules_in_the_same_order() -> None:
     assert [("missing", "missing"), *in_manual] == rules
 
 
-def test_a_wall_is_smooth() -> None:
+def test_a_wall_is_smooth():
     assert {*reasons().tolist()} == {int(Reason.SMOOTH)}
 
 
-def test_most_shots_around_decide() -> None:
+def test_most_shots_around_decide():
     """B building, V vegetation, G ground, N noise; every shot sees all of its three lines."""
     before = ["BBBBBBB", "BBVBGBN", "BBBBBBB"]
     after = "BBBBGBN"

@@ -1,7 +1,5 @@
 """Distances of lines, and noise that a wider window tells."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from prc_cli.core.classes import Label
@@ -64,7 +62,7 @@ def share(
     return float((labels[kind == class_code] == label).mean())
 
 
-def test_a_slow_drive_is_labelled_as_a_normal_one() -> None:
+def test_a_slow_drive_is_labelled_as_a_normal_one():
     normal, kind = drive(np.arange(48))
     usual = share(labelled(normal)[0], kind, VEGETATION, Label.VEGETATION)
     slow, kind = drive(np.arange(48 * 12) // 12)
@@ -75,7 +73,7 @@ def test_a_slow_drive_is_labelled_as_a_normal_one() -> None:
     assert share(not_aware, kind, VEGETATION, Label.VEGETATION) < usual - 0.02
 
 
-def test_a_drive_that_stops_keeps_its_labels() -> None:
+def test_a_drive_that_stops_keeps_its_labels():
     places = np.concatenate([np.arange(40), np.full(150, 40), np.arange(40, 48)])
     ranges, kind = drive(places)
     labels, strides = labelled(ranges)
@@ -91,7 +89,7 @@ def test_a_drive_that_stops_keeps_its_labels() -> None:
         )
 
 
-def test_lines_of_all_distances_equal_streams_of_these_lines() -> None:
+def test_lines_of_all_distances_equal_streams_of_these_lines():
     ranges, _ = street_lines(80)
     margin = SPACED_LINES - 3
     strides = np.array([1, 1, 4, 4, 4, 4, 4, 2, 2, 0, 0, 16, 16, 16, 1, 8], np.int64)

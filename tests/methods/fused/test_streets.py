@@ -1,9 +1,5 @@
 """The fused classifier on a street of planes: classes, switched-off steps, blocks, threads."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -49,11 +45,11 @@ def recalls(labels: U8, kind: U8) -> dict[int, float]:
 
 
 @pytest.fixture(scope="module")
-def street() -> tuple[F32, U8]:
+def street():
     return street_lines(60)
 
 
-def test_every_class_of_a_street_is_found(street: tuple[F32, U8]) -> None:
+def test_every_class_of_a_street_is_found(street):
     labels = classified(street[0])
     kind = street[1]
     recall_of = recalls(labels, kind)
@@ -81,7 +77,7 @@ def noise_along(ranges: F32, params: SensorParams, k: int = 128) -> list[float]:
     return noises_m
 
 
-def test_the_noise_of_ranges_is_measured() -> None:
+def test_the_noise_of_ranges_is_measured():
     for noise_m in (0.002, 0.005, 0.01):
         ranges, _ = street_lines(40, noise_m=noise_m)
         assert noise_along(ranges, SensorParams()) == pytest.approx([noise_m] * 40, rel=0.25)
@@ -90,7 +86,7 @@ def test_the_noise_of_ranges_is_measured() -> None:
     assert noise_along(nothing, SensorParams()) == [DEFAULT_NOISE_M] * 8
 
 
-def test_a_drive_that_begins_beneath_trees_sees_better_later() -> None:
+def test_a_drive_that_begins_beneath_trees_sees_better_later():
     ranges = np.tile(street_lines(64)[0], (8, 1))
     leaves = np.random.default_rng(8).exponential(0.1, ranges.shape).astype(np.float32)
     leaves[256:384] = 0
@@ -114,15 +110,13 @@ def test_a_drive_that_begins_beneath_trees_sees_better_later() -> None:
         ),
     ],
 )
-def test_a_step_that_is_off_is_missed(
-    street: tuple[F32, U8], off: dict[str, Any], kind: int
-) -> None:
+def test_a_step_that_is_off_is_missed(street, off, kind):
     usual = recalls(classified(street[0]), street[1])[kind]
     assert recalls(classified(street[0], **off), street[1])[kind] < usual - 0.2
 
 
 @pytest.mark.parametrize("name", ["labels", "confidence", "above_m"])
-def test_nothing_depends_on_threads_and_cuts(name: str) -> None:
+def test_nothing_depends_on_threads_and_cuts(name):
     ranges = street_lines(150)[0]
     whole = results("fused", name, ranges, 150)
     np.testing.assert_array_equal(results("fused", name, ranges, 17, threads=3), whole)

@@ -8,8 +8,6 @@ Slow: support and background are computed for the whole stream before it is cut 
 areas of all segments are kept. The compiled classifier sees one block and a bounded state, and must
 give the same labels and segments, bit for bit. This module shares no code with it."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Streams with many ties, and conversion of parameters to those of the oracle."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

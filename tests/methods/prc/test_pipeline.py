@@ -1,7 +1,5 @@
 """The production pipeline, by blocks and threads, against the whole method as the paper has it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -36,7 +34,7 @@ def assert_equals_oracle(seed: int) -> set[int]:
     return set(labels.ravel().tolist())
 
 
-def test_pipeline_equals_the_oracle_for_any_block_length() -> None:
+def test_pipeline_equals_the_oracle_for_any_block_length():
     seen: set[int] = set()
     for seed in range(200):
         seen |= assert_equals_oracle(seed)
@@ -46,11 +44,11 @@ def test_pipeline_equals_the_oracle_for_any_block_length() -> None:
 
 
 @given(st.integers(1000, 2**40))
-def test_pipeline_equals_the_oracle_on_any_seed(seed: int) -> None:
+def test_pipeline_equals_the_oracle_on_any_seed(seed):
     assert_equals_oracle(seed)
 
 
-def test_pipeline_equals_the_oracle_at_the_published_parameters() -> None:
+def test_pipeline_equals_the_oracle_at_the_published_parameters():
     image = drive_arrays(230, 400, 5)[0].range_m
     for params in (
         PrcParams(),
@@ -103,9 +101,7 @@ def test_pipeline_equals_the_oracle_at_the_published_parameters() -> None:
         ({"support": {"zeta": 1}}, "unknown key 'support.zeta'; did you mean 'support.zeta_"),
     ],
 )
-def test_parameters_out_of_bounds_name_key_found_and_expected(
-    table: dict[str, object], message: str
-) -> None:
+def test_parameters_out_of_bounds_name_key_found_and_expected(table, message):
     with pytest.raises(ConfigError, match=message):
         build(PrcParams, table, "drive.toml")
 
@@ -124,7 +120,7 @@ def random_window(rng: np.random.Generator, n_lines: int, m: int) -> F32:
 @pytest.mark.parametrize("m", [1, 3, 40])
 @pytest.mark.parametrize("rho_c", [1 / 3, 1.0])
 @pytest.mark.parametrize("rounding", ["ceil", "floor"])
-def test_they_say_what_any_thresholds_support(m: int, rho_c: float, rounding: str) -> None:
+def test_they_say_what_any_thresholds_support(m, rho_c, rounding):
     rng = np.random.default_rng(m)
     for _ in range(10):
         window = random_window(rng, 6, m)
@@ -141,7 +137,7 @@ def test_they_say_what_any_thresholds_support(m: int, rho_c: float, rounding: st
             np.testing.assert_array_equal(np.isnan(zetas.adjacent_m), missing)
 
 
-def test_too_few_neighbours_never_support() -> None:
+def test_too_few_neighbours_never_support():
     window = stream_window(
         np.full(6, np.nan, np.float32), np.array([[5, 5, 5, np.nan, 5]], np.float32), None
     )

@@ -1,7 +1,5 @@
 """Readings of the paper that a small case by hand shows; ``paper.py`` states all of them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -47,9 +45,7 @@ def wall(n_lines: int = 5, width: int = 20) -> F32:
         (3, 1, "floor", False),
     ],
 )
-def test_a_third_of_the_neighbours_is_3_of_8_and_2_of_6(
-    in_line: int, beside: int, rounding: str, is_supported: bool
-) -> None:
+def test_a_third_of_the_neighbours_is_3_of_8_and_2_of_6(in_line, beside, rounding, is_supported):
     image = wall()
     image[2, 6:15] = 50, 60, 70, 80, 20, 90, 100, 110, 120
     image[1, 9:12] = image[3, 9:12] = 50
@@ -57,7 +53,7 @@ def test_a_third_of_the_neighbours_is_3_of_8_and_2_of_6(
     assert support_of(image, rounding=rounding)[2, 10] == is_supported
 
 
-def test_ranges_that_differ_by_exactly_zeta_do_not_agree() -> None:
+def test_ranges_that_differ_by_exactly_zeta_do_not_agree():
     stripes = wall()
     stripes[:, ::2] += 1.0
     stripes[[1, 3], 10] = 20.0  # beside the shot, none is nearer than 1 m
@@ -65,7 +61,7 @@ def test_ranges_that_differ_by_exactly_zeta_do_not_agree() -> None:
     assert support_of(stripes, zeta_s=1.0001)[2, 10]
 
 
-def test_at_the_ends_absent_and_missing_neighbours_do_not_count() -> None:
+def test_at_the_ends_absent_and_missing_neighbours_do_not_count():
     assert not support_of(wall(1)).any()
     assert support_of(wall(2)).all()
     missing = np.full((5, 20), nan, dtype=np.float32)
@@ -106,9 +102,7 @@ STEP = (20.0, 20.0, 5.0, 5.0, 5.0)
         ("guard", (20, 20.013, 20), "..."),
     ],
 )
-def test_shots_of_a_supported_line_where_equation_9_does_not_hold(
-    form: Any, line: tuple[float, ...], expected: str
-) -> None:
+def test_shots_of_a_supported_line_where_equation_9_does_not_hold(form, line, expected):
     image = np.array([line], dtype=np.float32)
     marked = background(window_of(image), ~np.isnan(image), BackgroundParams(form=form, alpha=0.25))
     assert "".join(".#"[mark] for mark in marked[0].astype(int)) == expected
@@ -125,7 +119,7 @@ def test_shots_of_a_supported_line_where_equation_9_does_not_hold(
         (["#.", ".o"], [[1, 0], [0, 1]]),  # diagonal neighbours fill
     ],
 )
-def test_components_and_their_holes(picture: list[str], components: list[list[int]]) -> None:
+def test_components_and_their_holes(picture, components):
     """``#`` is a supported shot, ``o`` one of the background."""
     shots = np.array([[*line] for line in picture])
     assert join_and_fill(shots != ".", shots == "o")[0].tolist() == components
@@ -142,14 +136,12 @@ def test_components_and_their_holes(picture: list[str], components: list[list[in
         ([1, 1, 1, 0, 2, 2, 2], [7] * 7, [7, 7]),  # both pieces of a fork
     ],
 )
-def test_votes_for_the_labels_of_the_line_before(
-    first: list[int], last: list[int], labels: list[int]
-) -> None:
+def test_votes_for_the_labels_of_the_line_before(first, last, labels):
     taken = carry_labels(np.array(first, np.int32), np.array(last, np.int64), max(first), 3)
     assert taken[1:].tolist() == labels
 
 
-def test_a_fork_keeps_its_label_on_all_pieces_or_on_the_largest() -> None:
+def test_a_fork_keeps_its_label_on_all_pieces_or_on_the_largest():
     stream = wall(6, 21)
     stream[3:, 9] = nan
     for forks, expected in (("all", {1}), ("largest", {1, 2})):
@@ -159,7 +151,7 @@ def test_a_fork_keeps_its_label_on_all_pieces_or_on_the_largest() -> None:
         assert {*segments[3:, 10:].flat} == {1}
 
 
-def test_the_area_is_counted_in_the_block_alone() -> None:
+def test_the_area_is_counted_in_the_block_alone():
     """A long segment that only just reaches into a block is small there."""
     stream = wall(6, 20)
     stream[3:, 8:] = nan
@@ -172,9 +164,7 @@ def test_the_area_is_counted_in_the_block_alone() -> None:
 @pytest.mark.parametrize(
     ("lines_per_block", "expected"), [(6, Label.VEGETATION), (20, Label.GROUND)]
 )
-def test_a_short_last_block_asks_for_an_area_in_proportion(
-    lines_per_block: int, expected: Label
-) -> None:
+def test_a_short_last_block_asks_for_an_area_in_proportion(lines_per_block, expected):
     """60 pixels against 100, or against 100 * 6 / 20 = 30."""
     params = {"lines_per_block": lines_per_block, "surfaces": {"area": 100}}
     labels, _ = run_stream(wall(6, 10), PrcParams.model_validate(params))

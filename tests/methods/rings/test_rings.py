@@ -3,9 +3,6 @@
 Ground, a wall, a hedge, a car and a pole around a scanner of 32 rings.
 """
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -114,12 +111,12 @@ def labelled(
 
 
 @pytest.fixture(scope="module")
-def made() -> Scene:
+def made():
     return scene()
 
 
 @pytest.fixture(scope="module")
-def labels(made: Scene) -> U8:
+def labels(made):
     return labelled(*made[:2])
 
 
@@ -134,13 +131,13 @@ def labels(made: Scene) -> U8:
     ],
 )
 def test_bodies_have_their_class(
-    made: Scene,
-    labels: U8,
-    body: int,
-    label: Label,
-    recall: float,
-    precision: float,
-) -> None:
+    made,
+    labels,
+    body,
+    label,
+    recall,
+    precision,
+):
     true = made[2] == body
     is_label = labels == label
     assert (true & is_label).sum() / true.sum() > recall
@@ -150,15 +147,15 @@ def test_bodies_have_their_class(
 
 @pytest.mark.parametrize(("chunk", "threads"), [(1, 1), (7, 3), (1024, 2), (1800, 3)])
 def test_labels_depend_neither_on_chunks_nor_on_threads(
-    made: Scene,
-    labels: U8,
-    chunk: int,
-    threads: int,
-) -> None:
+    made,
+    labels,
+    chunk,
+    threads,
+):
     np.testing.assert_array_equal(labelled(*made[:2], chunk=chunk, threads=threads), labels)
 
 
-def test_a_scanner_may_hang_upside_down(made: Scene, labels: U8) -> None:
+def test_a_scanner_may_hang_upside_down(made, labels):
     """Its lowest ring is the highest then; what is written of its beams says where down is."""
     ranges, xyz, _ = made
     turned = xyz * np.array([1, -1, -1], np.float32)
@@ -167,7 +164,7 @@ def test_a_scanner_may_hang_upside_down(made: Scene, labels: U8) -> None:
 
 
 @pytest.mark.parametrize("lean", [(0.0, 30.0), (-45.0, 0.0), (20.0, 25.0)])
-def test_a_scanner_may_lean(lean: tuple[float, float]) -> None:
+def test_a_scanner_may_lean(lean):
     """The ground is level after it was turned; what stands on it is upright there."""
     mount = turning(np.deg2rad([*lean, 0.0]))
     ranges, xyz, body = scene(mount=mount)
@@ -177,7 +174,7 @@ def test_a_scanner_may_lean(lean: tuple[float, float]) -> None:
         assert not seen.any() or (leaning_labels[seen] == label).mean() > 0.9
 
 
-def test_shots_are_labelled_in_the_frame_of_the_scanner(made: Scene, labels: U8) -> None:
+def test_shots_are_labelled_in_the_frame_of_the_scanner(made, labels):
     frame = SensorFrame(tuple(map(tuple, turning(np.deg2rad([5.0, -8.0, 0.0])))), (0.8, -0.3, 1.7))  # type: ignore[arg-type]
     elsewhere = (made[1].astype(np.float64) @ np.array(frame.turn) + frame.apex_m).astype(
         np.float32
@@ -187,7 +184,7 @@ def test_shots_are_labelled_in_the_frame_of_the_scanner(made: Scene, labels: U8)
     assert (labelled(ranges, elsewhere) == labels).mean() < 0.985
 
 
-def test_z_is_up_where_a_floor_and_a_ceiling_are_level() -> None:
+def test_z_is_up_where_a_floor_and_a_ceiling_are_level():
     ranges, xyz, body = scene(ceiling_m=2.4)
     down = labelled(ranges, xyz, params=RingsParams(up="-z"))
     for params in (PARAMS, RingsParams(up="z")):
@@ -197,7 +194,7 @@ def test_z_is_up_where_a_floor_and_a_ceiling_are_level() -> None:
     assert (down[body == 6] == Label.GROUND).mean() > 0.8
 
 
-def test_a_short_block_takes_the_ground_of_those_before(made: Scene, labels: U8) -> None:
+def test_a_short_block_takes_the_ground_of_those_before(made, labels):
     ranges, xyz = (np.concatenate([array, array[:12]]) for array in made[:2])
     image = labelled(ranges[: 1024 + 12], xyz[: 1024 + 12])
     np.testing.assert_array_equal(image[:1024], labels[:1024])
@@ -220,7 +217,7 @@ def snowy(made: Scene) -> tuple[F32, F32, F32, Mask]:
 
 
 @pytest.mark.parametrize("is_lit", [True, False])
-def test_snow_is_noise(made: Scene, is_lit: bool) -> None:
+def test_snow_is_noise(made, is_lit):
     ranges, xyz, light, flake = snowy(made)
     intensity = light if is_lit else None
     is_noise = labelled(ranges, xyz, chunk=len(ranges), intensity=intensity) == Label.NOISE
@@ -229,7 +226,7 @@ def test_snow_is_noise(made: Scene, is_lit: bool) -> None:
 
 
 @pytest.mark.parametrize("light", [255.0, 0.0, np.nan, "steps"])
-def test_intensities_that_tell_nothing_count_as_none(made: Scene, light: float | str) -> None:
+def test_intensities_that_tell_nothing_count_as_none(made, light):
     ranges, xyz, lit, _ = snowy(made)
     equal = (
         np.round(lit / 20) * 20 if light == "steps" else np.full(ranges.shape, light, np.float32)
@@ -240,7 +237,7 @@ def test_intensities_that_tell_nothing_count_as_none(made: Scene, light: float |
     np.testing.assert_array_equal(with_equal, none)
 
 
-def test_mirror_images_below_the_ground_are_noise(made: Scene) -> None:
+def test_mirror_images_below_the_ground_are_noise(made):
     ranges, xyz, body = made
     random = np.random.default_rng(4)
     mirrored = (body == 1) & (ranges > 5) & (ranges < 25) & (random.random(ranges.shape) < 0.05)
@@ -251,7 +248,7 @@ def test_mirror_images_below_the_ground_are_noise(made: Scene) -> None:
     assert (image[road] == Label.GROUND).mean() > 0.95
 
 
-def test_reasons_measures_and_further_returns(made: Scene) -> None:
+def test_reasons_measures_and_further_returns(made):
     ranges, xyz, _ = made
     line, column = (np.array([n], np.int32) for n in (100, 3))
     extra = ExtraReturns(line, column, ranges[100, 3:4] + np.float32(0.1), np.array([7]))
@@ -270,7 +267,7 @@ def test_reasons_measures_and_further_returns(made: Scene) -> None:
 
 @pytest.mark.parametrize("shape", [(1, 4), (3, 16), (40, 16)])
 @pytest.mark.parametrize("value", [np.nan, 5.0, 300.0])
-def test_small_and_dull_images_are_labelled(shape: tuple[int, int], value: float) -> None:
+def test_small_and_dull_images_are_labelled(shape, value):
     beam = np.deg2rad(np.linspace(70, 100, shape[1]))
     classified = classify_ranges(
         np.full(shape, value), load_config(preset="rings"), beam_rad=beam
@@ -291,15 +288,15 @@ def test_small_and_dull_images_are_labelled(shape: tuple[int, int], value: float
     ],
 )
 def test_narrow_level_beams_are_a_fan(
-    first_deg: float,
-    last_deg: float,
-    n: int,
-    expected: bool,
-) -> None:
+    first_deg,
+    last_deg,
+    n,
+    expected,
+):
     assert is_fan(np.deg2rad(np.linspace(first_deg, last_deg, n))) is expected
 
 
-def test_rings_are_chosen_without_a_name(made: Scene, prc: Prc, tmp_path: Path) -> None:
+def test_rings_are_chosen_without_a_name(made, prc, tmp_path):
     ranges, xyz, _ = made
     np.savez(tmp_path / "scan.npz", range_m=ranges, xyz=xyz, zenith_deg=180.0 - np.rad2deg(BEAM))
     result = prc(f"classify {tmp_path}/scan.npz {tmp_path}/labels.npy")
@@ -311,12 +308,12 @@ def test_rings_are_chosen_without_a_name(made: Scene, prc: Prc, tmp_path: Path) 
 
 
 @pytest.fixture
-def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
+def prc(capsys):
     return Prc(capsys)
 
 
 @pytest.mark.data
-def test_a_sweep_of_two_scanners(prc: Prc, real_data: Path, tmp_path: Path) -> None:
+def test_a_sweep_of_two_scanners(prc, real_data, tmp_path):
     """One hangs upside down; the file is in the frame of the vehicle."""
     sweep = real_data / "av2" / "315966265259836000.feather"
     table = feather.read_table(sweep)
@@ -335,7 +332,7 @@ def test_a_sweep_of_two_scanners(prc: Prc, real_data: Path, tmp_path: Path) -> N
         assert both / ground[scanner].sum() > 0.9
 
 
-def test_rows_of_a_static_scan_are_no_rings() -> None:
+def test_rows_of_a_static_scan_are_no_rings():
     """They may see as little as rings do, where empty rows were cut off."""
     beam = np.deg2rad(np.linspace(65, 110, 200))
     block = ScanBlock(0, np.full((4, 200), 9.0, np.float32), beam_rad=beam)
@@ -344,6 +341,6 @@ def test_rows_of_a_static_scan_are_no_rings() -> None:
     assert not is_fan(np.deg2rad(np.linspace(65, 110, 497)))
 
 
-def test_the_number_of_rings_chooses_the_limits() -> None:
+def test_the_number_of_rings_chooses_the_limits():
     assert limits_of(np.zeros(MANY_RINGS)) is MANY
     assert limits_of(np.zeros(MANY_RINGS - 1)) is FEW

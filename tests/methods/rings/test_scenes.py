@@ -1,7 +1,5 @@
 """The ground around a spinning scanner, in scenes of a few numbers that a person can check."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -23,9 +21,7 @@ from prc_cli.methods.rings.thresholds import GroundThresholds, LonelyThresholds
     ],
 )
 @pytest.mark.parametrize("up", [1.0, -1.0])
-def test_two_shots_confirm_the_lowest_height(
-    heights_m: list[float], lowest_m: float, up: float
-) -> None:
+def test_two_shots_confirm_the_lowest_height(heights_m, lowest_m, up):
     xyz = np.zeros((1, len(heights_m), 3), np.float32)
     xyz[0, :, 2] = up * np.array(heights_m)
     place = np.where(np.isnan(xyz[..., 2]), np.nan, 0.5).astype(np.float32)
@@ -44,9 +40,7 @@ def test_two_shots_confirm_the_lowest_height(
         ([1.0, 1.0, 1.0, 1.0], [False, False, False, False]),  # the roof of the own car
     ],
 )
-def test_the_walk_takes_what_is_near_to_what_it_expects(
-    heights_m: list[float], is_ground: list[bool]
-) -> None:
+def test_the_walk_takes_what_is_near_to_what_it_expects(heights_m, is_ground):
     """Three sectors of cells at 1, 3, 5 and 7 m that see the same."""
     off_m = np.tile(np.array(heights_m, np.float32), (3, 1))
     middle_m = np.array([1.0, 3.0, 5.0, 7.0])
@@ -65,9 +59,7 @@ def test_the_walk_takes_what_is_near_to_what_it_expects(
         (26.0, {}, 10.0, False),  # so far away, no flake is seen
     ],
 )
-def test_a_flake_has_hardly_a_shot_beside_it(
-    range_m: float, around: dict[tuple[int, int], float], light: float, is_lonely: bool
-) -> None:
+def test_a_flake_has_hardly_a_shot_beside_it(range_m, around, light, is_lonely):
     ranges = np.full((7, 5), 40.0, np.float32)
     bright = np.full((7, 5), 90.0, np.float32)
     ranges[3, 2] = range_m

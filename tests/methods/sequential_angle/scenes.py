@@ -1,7 +1,5 @@
 """Lines of streets made by code, and thresholds with changes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, TypeVar
 

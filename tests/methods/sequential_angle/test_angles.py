@@ -1,7 +1,5 @@
 """Angles of chords, and the table of keys."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -19,7 +17,7 @@ def plain(**values: float) -> ChordThresholds:
     return made(ChordThresholds, **values).at_noise()
 
 
-def test_chords_bridge_missing_shots_and_short_steps() -> None:
+def test_chords_bridge_missing_shots_and_short_steps():
     gap = (np.nan, np.nan)
     points = [(4, -2), gap, gap, (4.5, -2), (4.51, -2), (4.519, -2), gap, (4.52, -2), (4.6, -1.9)]
     angles = signed_angles(lines_through(points), plain())
@@ -50,7 +48,7 @@ def documented() -> dict[str, str]:
     return published
 
 
-def test_the_table_names_every_default_and_no_other_key() -> None:
+def test_the_table_names_every_default_and_no_other_key():
     table = documented()
     assert table.keys() <= VALUES.keys()
     for key, value in VALUES.items():

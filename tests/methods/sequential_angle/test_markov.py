@@ -1,7 +1,5 @@
 """Parameters of the sequential tests, and what starts the search for a car."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -27,7 +25,7 @@ from prc_cli.methods.sequential_angle.thresholds import (
         ({"treshold": 1}, "did you mean 'threshold'"),
     ],
 )
-def test_wrong_parameters_are_told(table: dict[str, object], message: str) -> None:
+def test_wrong_parameters_are_told(table, message):
     with pytest.raises(ConfigError, match=message):
         build(table_of(MarkovThresholds(), "vegetation"), table, "street.toml")
 
@@ -41,5 +39,5 @@ def trigger(states: str, params: SuspiciousThresholds = PARAMS) -> int:
     return int(suspicious(codes, np.array([len(states)], np.int32), params)[0])
 
 
-def test_sky_fires() -> None:
+def test_sky_fires():
     assert trigger("HHHVVVMMMM") == 6

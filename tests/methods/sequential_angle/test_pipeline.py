@@ -1,7 +1,5 @@
 """The whole method: order of stages, state across lines, when lines are final."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import fields, replace
 
@@ -84,9 +82,7 @@ def both_sides(block: ScanBlock) -> ScanBlock:
 @pytest.mark.parametrize(
     ("lines", "threads", "shots"), [(1, 1, 1), (49, 2, 3000), (20, 3, 100_000)]
 )
-def test_labels_depend_neither_on_cuts_nor_on_threads(
-    two_sides: bool, lines: int, threads: int, shots: int
-) -> None:
+def test_labels_depend_neither_on_cuts_nor_on_threads(two_sides, lines, threads, shots):
     block = scan()
     block = both_sides(block) if two_sides else block
     expected = run(iter([block]))
@@ -97,7 +93,7 @@ def test_labels_depend_neither_on_cuts_nor_on_threads(
         np.testing.assert_array_equal(result, whole)
 
 
-def test_two_sides_are_classified_like_the_lines_that_they_are() -> None:
+def test_two_sides_are_classified_like_the_lines_that_they_are():
     """Half-lines of a profiler see what static lines see.
 
     Only the order in which heights come in differs.
@@ -110,7 +106,7 @@ def test_two_sides_are_classified_like_the_lines_that_they_are() -> None:
     assert np.mean(unfolded == single) > 0.99
 
 
-def test_lines_wait_for_the_first_heights_of_the_ground_and_no_longer() -> None:
+def test_lines_wait_for_the_first_heights_of_the_ground_and_no_longer():
     block = scan()
     assert block.beam_rad is not None
     beams = Beams.of(block.beam_rad)
@@ -127,7 +123,7 @@ def test_lines_wait_for_the_first_heights_of_the_ground_and_no_longer() -> None:
     assert known_at == PARAMS.ground.start_heights
 
 
-def test_further_returns_are_labelled_from_their_own_line() -> None:
+def test_further_returns_are_labelled_from_their_own_line():
     block = scan()
     # the scanner counts millimetres: neighbours of one range would have a right to each other's
     # class

@@ -1,7 +1,5 @@
 """Streets and slopes: every surface has the class that a person sees."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -28,7 +26,7 @@ def places(block: ScanBlock) -> tuple[F32, F32]:
 
 
 @pytest.mark.parametrize("curb_m", [0.0, 0.15])
-def test_a_street_without_a_car(curb_m: float) -> None:
+def test_a_street_without_a_car(curb_m):
     block = scan([street(curb_m)] * 40)
     labels = labelled(block).labels
     x, _ = places(block)
@@ -39,7 +37,7 @@ def test_a_street_without_a_car(curb_m: float) -> None:
     assert is_curb[np.abs(x - 6) < 0.02].mean() > 0.8 if curb_m else not is_curb.any()
 
 
-def test_the_side_of_a_car_is_no_curb() -> None:
+def test_the_side_of_a_car_is_no_curb():
     """Something is under it, and the wind screen is too high for a curb."""
     block = scan([street(car=True)] * 40)
     labels = labelled(block).labels
@@ -51,7 +49,7 @@ def test_the_side_of_a_car_is_no_curb() -> None:
 
 
 @pytest.mark.parametrize("n", [800, 3200])
-def test_a_wall_hit_head_on_is_not_vegetation(n: int) -> None:
+def test_a_wall_hit_head_on_is_not_vegetation(n):
     """Beams are as close to each other as the noise, or farther apart."""
     block = scan([[(10.0, -3.0, 10.0, 6.0)]] * 20, n)
     labels = labelled(block).labels
@@ -60,9 +58,7 @@ def test_a_wall_hit_head_on_is_not_vegetation(n: int) -> None:
 
 @pytest.mark.parametrize("slope_deg", [0.5, 3.0])
 @pytest.mark.parametrize("turned_deg", [0.0, 90.0, 200.0])
-def test_a_slope_is_ground_all_around_whatever_the_first_line(
-    slope_deg: float, turned_deg: float
-) -> None:
+def test_a_slope_is_ground_all_around_whatever_the_first_line(slope_deg, turned_deg):
     rise = np.tan(np.deg2rad(slope_deg)) * np.cos(np.deg2rad(np.arange(0, 360, 4) + turned_deg))
     block = scan([[(0.6, ROAD_Z + 0.6 * t, 15.0, ROAD_Z + 15 * t)] for t in rise.tolist()], n=300)
     item = labelled(block)

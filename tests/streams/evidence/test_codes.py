@@ -1,7 +1,5 @@
 """Error codes among the ranges, and coordinates of another frame."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from prc_cli.core.stream import StreamInfo
@@ -22,7 +20,7 @@ def seen(range_m: np.ndarray) -> Seen:
     )
 
 
-def test_millimetres_of_error_codes_are_doubted_with_the_least_range() -> None:
+def test_millimetres_of_error_codes_are_doubted_with_the_least_range():
     rng = np.random.default_rng(1)
     range_m = rng.uniform(2, 30, (100, 100))
     range_m[rng.random(range_m.shape) < 0.2] = 0.012
@@ -32,7 +30,7 @@ def test_millimetres_of_error_codes_are_doubted_with_the_least_range() -> None:
     assert finding.option == "--set input.min_range=0.05"
 
 
-def test_a_place_far_from_the_origin_is_not_offered_millimetres() -> None:
+def test_a_place_far_from_the_origin_is_not_offered_millimetres():
     finding = check_ranges(seen(np.random.default_rng(1).uniform(400, 520, (100, 100))))
     assert finding is not None
     assert "origin:X,Y,Z" in finding.hint

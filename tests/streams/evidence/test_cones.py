@@ -1,7 +1,5 @@
 """Rings that are cones around z, or are not: coordinates on other axes than the scanner's own."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -40,7 +38,7 @@ def asked(xyz_m: F64, *, has_rings: bool = True) -> Finding | None:
 
 
 @pytest.mark.parametrize("width_deg", [60.0, 200.0])
-def test_a_sector_on_other_axes_is_a_doubt(width_deg: float) -> None:
+def test_a_sector_on_other_axes_is_a_doubt(width_deg):
     shots = ring_shots(width_deg)
     pitched = shots @ turning(np.deg2rad([0.0, 6.0, 0.0]))
     lifted = shots + np.array([0.0, 0.0, 1.7])
@@ -54,5 +52,5 @@ def test_a_sector_on_other_axes_is_a_doubt(width_deg: float) -> None:
         assert finding.verdict is expected
 
 
-def test_columns_that_are_no_rings_are_not_asked() -> None:
+def test_columns_that_are_no_rings_are_not_asked():
     assert asked(ring_shots(60.0) + np.array([0.0, 0.0, 1.7]), has_rings=False) is None

@@ -1,11 +1,8 @@
 """What is guessed of a stream, and the sample that is judged."""
 
-from __future__ import annotations
-
 import csv
 import gzip
 from collections.abc import Iterator
-from pathlib import Path
 
 import laspy
 import numpy as np
@@ -45,7 +42,7 @@ def street(m: int, n_lines: int, seed: int = 0) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("m", "n_lines"), [(10, 60), (97, 30), (97, 17), (1000, 40), (5099, 20)])
-def test_period_of_a_street(m: int, n_lines: int) -> None:
+def test_period_of_a_street(m, n_lines):
     estimate = estimate_points_per_line(street(m, n_lines))
     assert estimate.points_per_line == m
     assert estimate.strength > 0.5
@@ -53,7 +50,7 @@ def test_period_of_a_street(m: int, n_lines: int) -> None:
 
 
 @pytest.mark.parametrize(("n_shots", "m"), [(99, None), (100, 5)])
-def test_a_hundred_ranges_are_enough(n_shots: int, m: int | None) -> None:
+def test_a_hundred_ranges_are_enough(n_shots, m):
     line = np.random.default_rng(2).uniform(2, 20, 5).astype(np.float32)
     assert estimate_points_per_line(np.tile(line, 20)[:n_shots]).points_per_line == m
 
@@ -61,7 +58,7 @@ def test_a_hundred_ranges_are_enough(n_shots: int, m: int | None) -> None:
 @pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(("number", "m"), [(1, 229), (2, 226), (3, 240)])
-def test_oakland(real_data: Path, number: int, m: int) -> None:
+def test_oakland(real_data, number, m):
     with gzip.open(real_data / "oakland" / f"oakland_{number}.csv.gz", "rt") as handle:
         ranges = np.array(
             [float(row["range_m"] or "nan") for row in csv.DictReader(handle)], np.float32
@@ -91,7 +88,7 @@ def drive(
     return ((line * m + column) / (line_hz * m) + 1000.0)[there], line[there], column[there]
 
 
-def test_info_lists_all_that_is_missing_and_its_command_does(tmp_path: Path) -> None:
+def test_info_lists_all_that_is_missing_and_its_command_does(tmp_path):
     """Lines and columns come back as they were.
 
     a guess of 48 lines a second makes shots collide.
@@ -131,7 +128,7 @@ def test_info_lists_all_that_is_missing_and_its_command_does(tmp_path: Path) -> 
 
 
 @pytest.mark.data
-def test_the_real_profiler(real_data: Path) -> None:
+def test_the_real_profiler(real_data):
     """Four lines, times rounded to four shots: 0.98374 us a shot, 5.0161 ms a line."""
     las = laspy.read(real_data / "profiler" / "jakarto_0.02s.las")
     scan = measure_rates(
@@ -203,12 +200,12 @@ def misread_street() -> F32:
     ],
 )
 def test_the_right_reading_is_found(
-    tmp_path: Path,
-    stored: str,
-    scale: float,
-    header: int,
-    options: str,
-) -> None:
+    tmp_path,
+    stored,
+    scale,
+    header,
+    options,
+):
     """Whatever type, byte order, unit and header."""
     dump = tmp_path / "scan.bin"
     dump.write_bytes(bytes(range(header)) + (misread_street() * scale).astype(stored).tobytes())
@@ -217,7 +214,7 @@ def test_the_right_reading_is_found(
     assert reading.options() == options
 
 
-def test_what_is_no_scan_has_no_reading(tmp_path: Path) -> None:
+def test_what_is_no_scan_has_no_reading(tmp_path):
     dump = tmp_path / "scan.bin"
     for content in (
         np.random.default_rng(1).bytes(1 << 18),
@@ -230,9 +227,7 @@ def test_what_is_no_scan_has_no_reading(tmp_path: Path) -> None:
         assert other_reading(dump) is None
 
 
-def test_the_refusal_names_the_options_that_mend_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_refusal_names_the_options_that_mend_it(tmp_path, capsys):
     """What is named can be typed, and labels the scan."""
     dump = tmp_path / "scan.bin"
     labels = tmp_path / "labels.npy"
@@ -264,7 +259,7 @@ def forest_lines(n_lines: int, *, stems: bool = True) -> F32:
     return every.astype(np.float32)
 
 
-def test_a_road_in_the_open_is_a_street() -> None:
+def test_a_road_in_the_open_is_a_street():
     road = street_lines(SAMPLE_LINES)[0]
     road[:, np.cos(BEAM) < 0.2] = np.nan
     place = place_of(road, BEAM)
@@ -280,7 +275,7 @@ def level_forest_lines(n_lines: int) -> F32:
     return forest
 
 
-def test_a_forest_on_a_level_floor_is_a_doubt() -> None:
+def test_a_forest_on_a_level_floor_is_a_doubt():
     place = place_of(level_forest_lines(MOST_LINES), BEAM)
     assert place.kind == "unknown"
     assert "streets more smooth objects (42%)" in place.doubt
@@ -291,7 +286,7 @@ def test_a_forest_on_a_level_floor_is_a_doubt() -> None:
     )
 
 
-def test_bare_stems_on_a_level_floor_are_a_doubt() -> None:
+def test_bare_stems_on_a_level_floor_are_a_doubt():
     """They are as smooth as facades within a line, but narrow."""
     park = street_lines(MOST_LINES)[0]
     level = np.cos(BEAM) >= 0.2
@@ -303,7 +298,7 @@ def test_bare_stems_on_a_level_floor_are_a_doubt() -> None:
     assert "go on for 16 lines" in place.doubt
 
 
-def test_clear_places_are_no_doubt() -> None:
+def test_clear_places_are_no_doubt():
     for lines in (street_lines(MOST_LINES)[0], forest_lines(MOST_LINES)):
         assert not choice_by_beams(*_first_and_all(lines)).findings
 
@@ -314,7 +309,7 @@ def _first_and_all(lines: F32) -> tuple[ScanBlock, Iterator[ScanBlock]]:
 
 
 @pytest.mark.parametrize("cut", [1, 7, 64, 90])
-def test_the_answer_depends_on_the_lines_alone(cut: int) -> None:
+def test_the_answer_depends_on_the_lines_alone(cut):
     lines = np.concatenate([np.full((5, len(BEAM)), np.nan, np.float32), street_lines(90)[0]])
     forest = forest_lines(40)
 
@@ -329,7 +324,7 @@ def test_the_answer_depends_on_the_lines_alone(cut: int) -> None:
 
 
 @pytest.mark.parametrize("cut", [1, 64, 100, 400])
-def test_where_the_first_lines_leave_it_open_more_are_looked_at(cut: int) -> None:
+def test_where_the_first_lines_leave_it_open_more_are_looked_at(cut):
     lines = np.concatenate([forest_lines(24), street_lines(MOST_LINES)[0]])
     first = place_of(lines[:SAMPLE_LINES], BEAM)
     blocks = (
@@ -343,7 +338,7 @@ def test_where_the_first_lines_leave_it_open_more_are_looked_at(cut: int) -> Non
 
 @pytest.mark.parametrize("chunk", [1, 31, 32, 33, 300])
 @pytest.mark.parametrize("n_lines", [32 * 8 - 1, 32 * 8, 32 * 9 + 5, 32 * 41])
-def test_a_sample_is_even_whatever_the_blocks(chunk: int, n_lines: int) -> None:
+def test_a_sample_is_even_whatever_the_blocks(chunk, n_lines):
     """Windows of 32 lines: every first, second, fourth of them, at most 8."""
     m = 8192
     sample = LineSample(m)

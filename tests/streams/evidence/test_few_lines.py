@@ -1,8 +1,6 @@
 """Streams of few lines are told, and where all shots are in one line no rule has found the
 lines."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -23,7 +21,7 @@ from prc_cli.streams.evidence.watch import watched
         (3, 900, None),
     ],
 )
-def test_few_lines_are_told(n_lines: int, n_shots: int, verdict: Verdict | None) -> None:
+def test_few_lines_are_told(n_lines, n_shots, verdict):
     verdicts = [finding.verdict for finding in check_few_lines(n_lines, n_shots)]
     assert verdicts == ([] if verdict is None else [verdict])
 
@@ -36,7 +34,7 @@ class OneBlock:
 
 
 @pytest.mark.parametrize(("inputs", "is_told"), [({}, True), ({"first": "10lines"}, False)])
-def test_a_window_may_be_short(inputs: dict[str, str], is_told: bool) -> None:
+def test_a_window_may_be_short(inputs, is_told):
     stream = watched(OneBlock(), InputConfig(**inputs))
     assert len(list(stream.blocks())) == 1
     assert ("few-lines" in {finding.check for finding in stream.observed.findings}) == is_told

@@ -1,7 +1,5 @@
 """Every check of a stream at its limits."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from math import inf, nan
@@ -71,7 +69,7 @@ def answer_of(finding: Finding | None) -> tuple[Verdict, str, str]:
         (2.0, "", AGAINST),
     ],
 )
-def test_shot_order(shot: float, ratio: str, verdict: Verdict) -> None:
+def test_shot_order(shot, ratio, verdict):
     # the second neighbour is more like a shot than the first, but not by half
     assert answer_of(check_shot_order(replace(USUAL, shot=(shot, shot / 2)))) == (
         verdict,
@@ -84,7 +82,7 @@ def test_shot_order(shot: float, ratio: str, verdict: Verdict) -> None:
 
 
 @pytest.fixture
-def folds(monkeypatch: pytest.MonkeyPatch) -> dict[int, float]:
+def folds(monkeypatch):
     """How alike lines far apart are with every length that is tried; no other may be."""
     likeness = dict.fromkeys(LENGTHS, 0.6)
     monkeypatch.setattr(
@@ -115,11 +113,11 @@ CHECK_M = "; check -M and --lines, and whether lines and columns are exchanged"
     ],
 )
 def test_lines_that_are_alike(
-    folds: dict[int, float],
-    line: float,
-    ratio: str,
-    verdict: Verdict,
-) -> None:
+    folds,
+    line,
+    ratio,
+    verdict,
+):
     assert len(folds) == 9
     # lines farther on are more alike, but not by half
     figures = replace(USUAL, line=(line, line / 2, line / 2, line / 2))
@@ -143,12 +141,12 @@ def test_lines_that_are_alike(
 )
 @pytest.mark.parametrize("better", [M - 4, M - 1, M + 1, M + 4])
 def test_another_length_that_agrees_better(
-    folds: dict[int, float],
-    here: float,
-    there: float,
-    verdict: Verdict,
-    better: int,
-) -> None:
+    folds,
+    here,
+    there,
+    verdict,
+    better,
+):
     folds.update({**dict.fromkeys(LENGTHS, 0.79), M: here, better: there})
     answer = answer_of(check_line_length(seen(), USUAL, None))
     assert answer[0] is verdict
@@ -174,7 +172,7 @@ ORDER = "lines far apart differ {} times as much as neighbouring lines, expected
         (0.9, "3", FINE),
     ],
 )
-def test_line_order(far: float, ratio: str, verdict: Verdict) -> None:
+def test_line_order(far, ratio, verdict):
     figures = replace(USUAL, moved=(0.3, far), roughness=0.02)
     assert answer_of(check_line_order(seen(24), figures)) == (
         verdict,
@@ -196,12 +194,12 @@ def test_line_order(far: float, ratio: str, verdict: Verdict) -> None:
     ],
 )
 def test_standing(
-    roughness: float,
-    far: float,
-    n_lines: int,
-    name: str,
-    verdict: Verdict,
-) -> None:
+    roughness,
+    far,
+    n_lines,
+    name,
+    verdict,
+):
     finding = check_line_order(seen(n_lines), replace(USUAL, moved=(0.3, far), roughness=roughness))
     assert finding is not None
     assert (finding.check, finding.verdict) == (name, verdict)
@@ -228,7 +226,7 @@ def counted(ranges: ArrayLike = (), **more: Any) -> Seen:
         (201, AGAINST, "20.1%"),
     ],
 )
-def test_lost_and_meeting_records(n: int, verdict: Verdict, share: str) -> None:
+def test_lost_and_meeting_records(n, verdict, share):
     scan = counted(tally=ReadTally(n_records=1000, n_collisions=n, n_unplaced=n), n_shots=7)
     assert verdict_of(check_collisions(scan)) == (
         verdict,
@@ -254,11 +252,11 @@ def test_lost_and_meeting_records(n: int, verdict: Verdict, share: str) -> None:
     ],
 )
 def test_returns(
-    n_shots: int,
-    n_missing: int,
-    verdict: Verdict,
-    share: str,
-) -> None:
+    n_shots,
+    n_missing,
+    verdict,
+    share,
+):
     assert verdict_of(check_returns(counted(n_shots=n_shots, n_missing=n_missing))) == (
         verdict,
         f"returns: {share} of the shots have a range, expected at least 2%; check --range, "
@@ -272,7 +270,7 @@ def test_returns(
     ("n", "usual_m", "verdict"),
     [(10, 20.0, FINE), (11, 20.0, DOUBTFUL), (50, 50.0, FINE), (50, 49.9, DOUBTFUL)],
 )
-def test_the_largest_range_as_a_code(n: int, usual_m: float, verdict: Verdict) -> None:
+def test_the_largest_range_as_a_code(n, usual_m, verdict):
     finding = check_missing_code(counted(np.where(np.arange(1000) < n, 100.0, usual_m)))
     option = "--set input.max_range=99.9999924"
     assert verdict_of(finding) == (
@@ -307,7 +305,7 @@ def deg(
 
 
 @pytest.fixture
-def guesses(monkeypatch: pytest.MonkeyPatch) -> list[DownGuess | None]:
+def guesses(monkeypatch):
     """The guess for all lines, then those for every window."""
     answers: list[DownGuess | None] = []
 
@@ -338,9 +336,7 @@ def guesses(monkeypatch: pytest.MonkeyPatch) -> list[DownGuess | None]:
         (352.0, FINE),
     ],
 )
-def test_down_is_judged_by_the_angle(
-    guesses: list[DownGuess | None], off_deg: float, verdict: Verdict
-) -> None:
+def test_down_is_judged_by_the_angle(guesses, off_deg, verdict):
     guesses.append(deg(off_deg, 95.4, 3.14))
     off = min(abs(off_deg), 360 - abs(off_deg))
     # the scan angle of straight down is 1 rad, 57.3 deg
@@ -376,11 +372,11 @@ def test_down_is_judged_by_the_angle(
     ],
 )
 def test_angle_step(
-    monkeypatch: pytest.MonkeyPatch,
-    factor: float,
-    off: float,
-    verdict: Verdict,
-) -> None:
+    monkeypatch,
+    factor,
+    off,
+    verdict,
+):
     step = AngleStep(math.radians(factor), off, 100)
     monkeypatch.setattr(geometry, "measure_step", lambda _: step)
     said = (
@@ -417,12 +413,12 @@ def test_angle_step(
 )
 @pytest.mark.parametrize("is_blind", [False, True])
 def test_height(
-    guesses: list[DownGuess | None],
-    monkeypatch: pytest.MonkeyPatch,
-    depth_m: float,
-    verdict: Verdict,
-    is_blind: bool,
-) -> None:
+    guesses,
+    monkeypatch,
+    depth_m,
+    verdict,
+    is_blind,
+):
     monkeypatch.setattr(geometry, "_scale", lambda *_: 1.0)
     # half of it remains below a plane that leans by 60 deg
     guesses.append(deg(-19.9 if not is_blind else 120.0, depth_m=2.0 * depth_m))

@@ -3,11 +3,7 @@
 Rightly read scans are fine, and each way of misreading one is noticed.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -142,7 +138,7 @@ def standing(ranges: F32) -> F32:
         ),
     ],
 )
-def test_a_misread_scan_is_refused(misread: Callable[[F32], F32], check: str, words: str) -> None:
+def test_a_misread_scan_is_refused(misread, check, words):
     finding = asked(misread(scan()))[check]
     assert finding.verdict is Verdict.AGAINST
     assert words in finding.sentence()
@@ -162,11 +158,11 @@ def test_a_misread_scan_is_refused(misread: Callable[[F32], F32], check: str, wo
         (lambda ranges: np.concatenate([ranges[:200], ranges[150:]]), "repeated-lines"),
     ],
 )
-def test_an_odd_scan_is_doubted(odd: Callable[[F32], F32], check: str) -> None:
+def test_an_odd_scan_is_doubted(odd, check):
     assert not_fine(odd(scan())).get(check) is Verdict.DOUBTFUL
 
 
-def test_the_first_evidence_ends_a_long_stream() -> None:
+def test_the_first_evidence_ends_a_long_stream():
     """Long before its end: when the sample is full for the first time."""
     read = []
 
@@ -187,9 +183,7 @@ def test_the_first_evidence_ends_a_long_stream() -> None:
 @pytest.mark.parametrize(
     "name", ["kitti_train_3", "kitti_train_5", "nuscenes_train_18", "nuscenes_train_23"]
 )
-def test_a_frame_that_looks_another_way_at_every_line_has_its_length(
-    real_data: Path, name: str
-) -> None:
+def test_a_frame_that_looks_another_way_at_every_line_has_its_length(real_data, name):
     with np.load(real_data / "rangeviews" / f"{name}.npz") as arrays:
         ranges = np.ascontiguousarray(arrays["range_m"].T)
     finding = asked(ranges)["line-length"]

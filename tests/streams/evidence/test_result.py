@@ -1,8 +1,5 @@
 """Checks of the labels."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 
@@ -72,9 +69,7 @@ def doubted(findings: dict[str, Finding]) -> set[str]:
 @pytest.mark.parametrize(
     ("columns", "is_fine"), [((0, 20), True), ((0, 0), False), ((60, 100), False)]
 )
-def test_a_scanner_that_sees_nothing_below_it(
-    columns: tuple[int, int], is_fine: bool, preset: str
-) -> None:
+def test_a_scanner_that_sees_nothing_below_it(columns, is_fine, preset):
     """Of all around, a tenth must be ground that is lower than the scanner."""
     range_m = np.full((64, 100), 8.0, np.float32)
     labels = np.full(range_m.shape, Label.BUILDING, np.uint8)
@@ -99,7 +94,7 @@ def test_a_scanner_that_sees_nothing_below_it(
         ("fused-forest", 0.3, Verdict.DOUBTFUL),
     ],
 )
-def test_noise_of_every_method(preset: str, share: float, verdict: Verdict) -> None:
+def test_noise_of_every_method(preset, share, verdict):
     labels = np.where(
         np.random.default_rng(1).random((64, 100)) < share, Label.NOISE, Label.GROUND
     ).astype(np.uint8)
@@ -109,7 +104,7 @@ def test_noise_of_every_method(preset: str, share: float, verdict: Verdict) -> N
 
 @pytest.mark.parametrize("preset", ["fused", "fused-forest", "street-scan"])
 @pytest.mark.parametrize(("lines", "is_fine"), [((200, 215), True), ((200, 330), False)])
-def test_ground_that_vanishes(preset: str, lines: tuple[int, int], is_fine: bool) -> None:
+def test_ground_that_vanishes(preset, lines, is_fine):
     range_m, labels = street(512)
     rows = labels[slice(*lines)]
     rows[rows == Label.GROUND] = Label.BUILDING
@@ -125,7 +120,7 @@ def test_ground_that_vanishes(preset: str, lines: tuple[int, int], is_fine: bool
         assert f"--only {first}:" in findings["classes-along"].hint
 
 
-def test_level_surfaces_below_and_above_leave_it_open_where_up_is() -> None:
+def test_level_surfaces_below_and_above_leave_it_open_where_up_is():
     range_m, labels = street()
     watch = ResultWatch(usual_of("rings"))
     block = ScanBlock(0, range_m)
@@ -137,7 +132,7 @@ def test_level_surfaces_below_and_above_leave_it_open_where_up_is() -> None:
 
 
 @given(cuts=st.sets(st.integers(1, 2499), max_size=12), off_deg=st.sampled_from([0.0, 15.0]))
-def test_findings_do_not_depend_on_the_blocks(cuts: set[int], off_deg: float) -> None:
+def test_findings_do_not_depend_on_the_blocks(cuts, off_deg):
     range_m, labels = MANY
     whole = ScanBlock(0, range_m, beam_rad=ANGLE[::4] - np.deg2rad(off_deg), angle_rad=ANGLE[::4])
     undivided = ResultWatch(STREET)
@@ -159,7 +154,7 @@ def _many() -> tuple[F32, U8]:
 MANY = _many()
 
 
-def test_the_worst_of_several_scanners_stands() -> None:
+def test_the_worst_of_several_scanners_stands():
     range_m, labels = street()
     watch = ResultWatch(STREET)
     for scanner in range(MAX_SCANNERS + 2):
@@ -217,9 +212,7 @@ def in_sunlight(range_m: F32, labels: U8) -> None:
         ),
     ],
 )
-def test_each_check_says_what_it_measured(
-    spoil: Callable[[F32, U8], None], check: str, verdict: Verdict, measured: str
-) -> None:
+def test_each_check_says_what_it_measured(spoil, check, verdict, measured):
     range_m, labels = street(512)
     spoil(range_m, labels)
     usual = replace(STREET, unclassified_share=0.25)
@@ -228,7 +221,7 @@ def test_each_check_says_what_it_measured(
     assert asked(*street(512), usual=usual)[check].found != measured
 
 
-def test_an_order_that_is_trusted_accepts_its_doubts() -> None:
+def test_an_order_that_is_trusted_accepts_its_doubts():
     assert accepted_by(InputConfig(accept_doubts=("path",))) == ("path",)
     trusted = InputConfig(accept_doubts=("path",), order="trust")
     assert accepted_by(trusted) == ("path", *ORDER_CHECKS)

@@ -1,7 +1,5 @@
 """Snow, rain and fog are no disorder."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from prc_cli.core.facts import SourceFacts
@@ -35,7 +33,7 @@ def verdicts_of(range_m: F32, *, has_rings: bool = True) -> dict[str, Verdict]:
     return {finding.check: finding.verdict for finding in ask_all(seen)}
 
 
-def test_shuffled_lines_and_shots_are_disorder_all_the_same() -> None:
+def test_shuffled_lines_and_shots_are_disorder_all_the_same():
     random = np.random.default_rng(1)
     lines = random.permutation(drive())
     assert verdicts_of(lines)["line-order"] is Verdict.AGAINST

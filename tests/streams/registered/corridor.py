@@ -3,8 +3,6 @@
 a registered cloud in closed form, with its true path.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

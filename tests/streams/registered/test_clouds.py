@@ -1,10 +1,5 @@
 """Registered clouds read with ``range = "points"``: their cells, or a refusal."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -19,7 +14,7 @@ CLOUD = make_corridor()
 POINTS = load_config(options={"input": {"range": "points"}})
 
 
-def test_cells_are_those_of_the_raw_stream(tmp_path: Path) -> None:
+def test_cells_are_those_of_the_raw_stream(tmp_path):
     """Ranges to millimetres, and shots as far from each other as they were fired."""
     order = np.random.default_rng(1).permutation(len(CLOUD.time_s))
     columns = of_points(CLOUD.xyz_m[order], time=CLOUD.time_s[order])
@@ -65,16 +60,14 @@ SLOW = [
 
 
 @pytest.mark.parametrize("spoil", [coarse_times, *SLOW])
-def test_what_cannot_be_right_is_refused(
-    tmp_path: Path, spoil: Callable[[F64, F64], tuple[F64, F64]]
-) -> None:
+def test_what_cannot_be_right_is_refused(tmp_path, spoil):
     time_s, xyz_m = spoil(CLOUD.time_s, CLOUD.xyz_m)
     path = write_las(tmp_path / "cloud.laz", of_points(xyz_m, time=time_s))
     with pytest.raises(PrcError):
         placed(path, POINTS, len(time_s))
 
 
-def test_a_cloud_without_times_is_refused(tmp_path: Path) -> None:
+def test_a_cloud_without_times_is_refused(tmp_path):
     path = write_csv(tmp_path / "cloud.csv", of_points(CLOUD.xyz_m))
     with pytest.raises(PrcError, match="time"):
         placed(path, POINTS, len(CLOUD.time_s))

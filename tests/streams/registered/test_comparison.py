@@ -1,7 +1,5 @@
 """A trajectory against the path that was found: its clock, its lever arm, its coordinates."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -58,7 +56,7 @@ def moved(
     )
 
 
-def test_the_true_trajectory_is_left_as_it_is() -> None:
+def test_the_true_trajectory_is_left_as_it_is():
     path, trajectory = tile_and_drive(arm=np.zeros(3))
     comparison = compare(path, trajectory)
     assert (comparison.clock_s, comparison.misfit) == (0.0, "")
@@ -66,7 +64,7 @@ def test_the_true_trajectory_is_left_as_it_is() -> None:
     assert comparison.distance_m < 0.01
 
 
-def test_an_even_straight_drive_tells_no_clock_and_says_so() -> None:
+def test_an_even_straight_drive_tells_no_clock_and_says_so():
     path, trajectory = tile_and_drive(even=True)
     comparison = compare(path, trajectory)
     assert not comparison.tells_clock
@@ -74,7 +72,7 @@ def test_an_even_straight_drive_tells_no_clock_and_says_so() -> None:
     assert comparison.lever_m == pytest.approx(ARM, abs=0.02)
 
 
-def test_orientations_give_the_lever_arm_on_the_axes_of_the_vehicle() -> None:
+def test_orientations_give_the_lever_arm_on_the_axes_of_the_vehicle():
     path, trajectory = tile_and_drive()
     _, frame = drive(trajectory.time_s)
     # the scanner stands across
@@ -107,7 +105,7 @@ def test_orientations_give_the_lever_arm_on_the_axes_of_the_vehicle() -> None:
         (lambda drive: Positions(drive.time_s[:300], drive.xyz_m[:300]), "less than half"),
     ],
 )
-def test_other_coordinates_and_other_drives_are_named(change: object, words: str) -> None:
+def test_other_coordinates_and_other_drives_are_named(change, words):
     path, trajectory = tile_and_drive()
     comparison: Comparison = compare(path, change(trajectory))  # type: ignore[operator]
     assert re.search(words, comparison.misfit), comparison.misfit

@@ -1,7 +1,5 @@
 """The path of a profiler from its points: rates, cells, uncertainty."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -20,7 +18,7 @@ from tests.streams.registered.corridor import (
 )
 
 
-def test_every_shot_finds_its_cell_and_range() -> None:
+def test_every_shot_finds_its_cell_and_range():
     cloud = make_corridor()
     xyz_m = cloud.xyz_m - CORNER_M
     turning = rotation.Turning(LINES_HZ, LINES_HZ, float(cloud.time_s[0]))
@@ -40,14 +38,14 @@ def test_every_shot_finds_its_cell_and_range() -> None:
     assert np.median(np.abs(cells.range_m - cloud.range_m)) < 5e-3
 
 
-def test_a_given_path_tells_the_rate_from_the_directions_alone() -> None:
+def test_a_given_path_tells_the_rate_from_the_directions_alone():
     cloud = make_corridor(begin_s=0.0)
     turning = turning_along(cloud.time_s, cloud.xyz_m, stations)
     assert turning is not None
     assert turning.hz == pytest.approx(LINES_HZ, rel=3e-4)
 
 
-def test_selected_inversion_is_the_inverse() -> None:
+def test_selected_inversion_is_the_inverse():
     rng = np.random.default_rng(1)
     n = 7
     full = np.zeros((6 * n, 6 * n))
@@ -67,7 +65,7 @@ def test_selected_inversion_is_the_inverse() -> None:
         )
 
 
-def test_pieces_are_even_points_about_their_middle_and_first() -> None:
+def test_pieces_are_even_points_about_their_middle_and_first():
     time_s = 7.0 + 0.5 * np.arange(100.0)
     xyz_m = np.stack([time_s, -time_s, time_s**2], axis=1)
     pieces = pieces_between(time_s, xyz_m, np.array([0, 20, 40]), np.array([12, 22, 40]), 4)

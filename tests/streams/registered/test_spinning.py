@@ -1,7 +1,5 @@
 """Spinning scanners from registered points and their times alone."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
@@ -48,7 +46,7 @@ def head(name: str) -> SpinningHead | NoScan:
         pytest.param("rings that look ahead", marks=pytest.mark.slow),
     ],
 )
-def test_every_point_gets_its_ring_line_and_range(name: str) -> None:
+def test_every_point_gets_its_ring_line_and_range(name):
     points = cloud(name)
     spinning = head(name)
     assert isinstance(spinning, SpinningHead)
@@ -63,7 +61,7 @@ def test_every_point_gets_its_ring_line_and_range(name: str) -> None:
     assert scan.residual_m < 0.005
 
 
-def test_points_of_one_plane_are_no_spinning_head() -> None:
+def test_points_of_one_plane_are_no_spinning_head():
     time_s = np.arange(20_000) / 20_000.0
     bearing = 2.0 * np.pi * 50.0 * time_s
     across = 5.0 + np.cos(3.0 * bearing)
@@ -71,27 +69,27 @@ def test_points_of_one_plane_are_no_spinning_head() -> None:
     assert isinstance(find_turn_hz(time_s, xyz), NoScan)
 
 
-def test_few_points_are_refused_with_their_number() -> None:
+def test_few_points_are_refused_with_their_number():
     refusal = find_turn_hz(np.arange(150.0), np.zeros((150, 3)))
     assert refusal == NoScan("150 points, fewer than a turn needs (200)")
     sparse = cloud("even rings").part(slice(None, None, 100))
     assert isinstance(find_head(sparse.time_s, sparse.xyz_m), NoScan)
 
 
-def test_random_points_are_no_spinning_head() -> None:
+def test_random_points_are_no_spinning_head():
     rng = np.random.default_rng(2)
     assert isinstance(
         find_head(np.sort(rng.random(20_000)), rng.normal(0.0, 10.0, (20_000, 3))), NoScan
     )
 
 
-def test_uneven_times_have_no_firings() -> None:
+def test_uneven_times_have_no_firings():
     rng = np.random.default_rng(4)
     time_s = np.sort(rng.random(20_000))
     assert find_firings(time_s, np.arange(20_000) % 4, np.zeros(4), 10.0) is None
 
 
-def test_the_density_of_points_is_a_bell_around_each() -> None:
+def test_the_density_of_points_is_a_bell_around_each():
     elevation = np.array([-0.3, -0.3, 0.4])
     density = _ring_density(elevation, 10.0 * RING_BIN_RAD)
     low, _, high = _ring_bins(elevation)

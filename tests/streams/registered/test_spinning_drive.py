@@ -1,9 +1,6 @@
 """Clouds of spinning scanners as streams."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +21,7 @@ EVEN = np.arange(-15.0, 16.0, 2.0)
 AHEAD = np.array([1.2, -1.2, 3.6, -3.6] * 4)
 
 
-def test_a_shuffled_cloud_becomes_lines_of_firings_and_columns_of_rings(tmp_path: Path) -> None:
+def test_a_shuffled_cloud_becomes_lines_of_firings_and_columns_of_rings(tmp_path):
     points = spinning_cloud(EVEN, AHEAD, duration_s=0.6)
     order = np.argsort(points.xyz_m[:, 0])
     columns = of_points(points.xyz_m[order], time=points.time_s[order])
@@ -53,7 +50,7 @@ def test_a_shuffled_cloud_becomes_lines_of_firings_and_columns_of_rings(tmp_path
     assert np.isfinite(path.sigma_m).all()
 
 
-def test_a_path_reaches_from_the_first_point_to_the_last() -> None:
+def test_a_path_reaches_from_the_first_point_to_the_last():
     time_s = np.array([1.0, 2.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     station = np.stack([2.0 * time_s, 0.0 * time_s, 0.0 * time_s], axis=1)
     axis = np.stack([0.1 * time_s, 0.0 * time_s, 1.0 + 0.0 * time_s], axis=1)
@@ -69,12 +66,12 @@ def test_a_path_reaches_from_the_first_point_to_the_last() -> None:
     assert inside.time_s.tolist() == [2.0, 3.0, 4.0]
 
 
-def test_rings_that_points_lie_between_are_doubted_then_refused() -> None:
+def test_rings_that_points_lie_between_are_doubted_then_refused():
     verdicts = [judge_rings(share).verdict for share in (0.99, 0.8, 0.4)]
     assert verdicts == [Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST]
 
 
-def test_medians_of_rows_leave_out_what_has_no_weight() -> None:
+def test_medians_of_rows_leave_out_what_has_no_weight():
     values = np.array([[5.0, 1.0, 9.0, 2.0], [4.0, 3.0, 2.0, 1.0], [7.0, 0.0, 0.0, 0.0], [8.0] * 4])
     weight = np.array([[1, 1, 1, 0], [0.5, 2, 1, 3], [1, 0, 0, 0], [0] * 4], np.float64)
     # of an even number the lower one
@@ -99,9 +96,7 @@ SOUND = PathFigures(
         ("n_unplaced", (10, 11, 501), "no path fits"),
     ],
 )
-def test_figures_of_a_path_are_fine_then_doubted_then_refused(
-    name: str, values: tuple[float, float, float], problem: str
-) -> None:
+def test_figures_of_a_path_are_fine_then_doubted_then_refused(name, values, problem):
     verdicts = (Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST)
     for value, verdict in zip(values, verdicts, strict=True):
         n_unplaced = int(value) if name == "n_unplaced" else 0
