@@ -126,7 +126,7 @@ def fill(page: Path, text: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("shown", "title", "expected"),
+    "shown, title, expected",
     [
         ("0.5", "ours > car recall", "0.5"),
         ("0.99", "ours > car precision", "0.91"),

@@ -40,7 +40,7 @@ def no_thread_left():
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_thread_left")
 @pytest.mark.parametrize(
-    ("kind", "suffix"), [(".bin", ".npy"), (".csv", ".csv"), (".npz", ".parquet"), (".csv", ".laz")]
+    "kind, suffix", [(".bin", ".npy"), (".csv", ".csv"), (".npz", ".parquet"), (".csv", ".laz")]
 )
 def test_bytes_are_equal_with_any_number_of_threads(
     tmp_path,

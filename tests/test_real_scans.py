@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parent.parent
 # lower bounds a little under what is measured (docs/accuracy.md): a change that loses accuracy must
 # be seen
 @pytest.mark.parametrize(
-    ("strip", "published_ground", "ground", "vegetation", "building"),
+    "strip, published_ground, ground, vegetation, building",
     [(1, 0.93, 0.94, 0.51, 0.70), (2, 0.94, 0.95, 0.76, 0.67), (3, 0.94, 0.95, 0.76, None)],
 )
 def test_oakland(

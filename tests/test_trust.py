@@ -61,7 +61,7 @@ def test_what_is_wrong_is_not_silent_and_what_is_right_passes(case, tmp_path):
     assert not result.is_alarm, result
 
 
-@pytest.mark.parametrize(("name", "form"), FORMS)
+@pytest.mark.parametrize("name, form", FORMS)
 def test_a_scan_rightly_told_is_neither_refused_nor_doubted(name, form, tmp_path):
     window = window_of(name)
     method = "fused-forest" if window.is_forest else "fused"
@@ -72,7 +72,7 @@ def test_a_scan_rightly_told_is_neither_refused_nor_doubted(name, form, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("name", "method", "seed", "words"),
+    "name, method, seed, words",
     [
         (
             "trajectory a second late",

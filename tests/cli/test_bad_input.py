@@ -112,7 +112,7 @@ def test_a_file_that_laspy_refuses_is_classified_and_doubted(prc, tmp_path, suff
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
 @pytest.mark.parametrize(
-    ("option", "name"),
+    "option, name",
     [("--config", "x.toml"), ("--layout", "x.toml"), ("--set", "x.json")],
 )
 def test_settings_are_regular_files(
@@ -134,7 +134,7 @@ def test_settings_are_regular_files(
 
 
 @pytest.mark.parametrize(
-    ("error", "line"),
+    "error, line",
     [
         (
             OSError(errno.EMFILE, "Too many open files"),
@@ -364,7 +364,7 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize(("command", "code", "said"), CASES)
+@pytest.mark.parametrize("command, code, said", CASES)
 def test_one_line_says_why(
     prc,
     folder,

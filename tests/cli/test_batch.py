@@ -320,7 +320,7 @@ ALARM = Alarm("b.laz", "ground 1 %, usually 40 %")
 
 
 @pytest.mark.parametrize(
-    ("events", "code"),
+    "events, code",
     [
         ([done("a.laz")], 0),
         ([done("a.laz"), failed("b.laz")], 1),
@@ -437,7 +437,7 @@ def test_options_reach_the_settings(prc, play):
 
 
 @pytest.mark.parametrize(
-    ("words", "expected"),
+    "words, expected",
     [
         ("a", "OUT"),
         ("a o b", "unexpected extra argument"),

@@ -238,7 +238,7 @@ def test_a_shot_is_explained_with_its_range_and_beam(prc, folder):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "preset"), CASES)
+@pytest.mark.parametrize("name, preset", CASES)
 def test_class_and_rule_are_those_of_classify(folder, name, preset):
     options = {"input": {"nadir": 0.0}, "output": {"reason": True}}
     loaded = load_config(preset=preset, options=options)

@@ -34,7 +34,7 @@ CASES = (
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "options", "preset"), CASES)
+@pytest.mark.parametrize("name, options, preset", CASES)
 def test_the_default_is_a_preset_and_says_so(prc, scans, name, options, preset):
     result = prc(f"classify {scans}/{name} {scans}/a.npy {options}")
     assert result.code == 0, result.err

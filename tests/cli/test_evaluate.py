@@ -45,7 +45,7 @@ def record(path: Path, method: str, **tables: object) -> None:
 
 
 @pytest.mark.parametrize(
-    ("method", "tables", "mapping"),
+    "method, tables, mapping",
     [
         ("fused", {"fused": {"environment": "urban"}}, "street"),
         ("fused", {"fused": {"environment": "forest"}}, "prc"),
@@ -108,7 +108,7 @@ def test_files_of_different_methods_are_compared_in_the_classes_of_prc(prc, tmp_
 
 
 @pytest.mark.parametrize(
-    ("methods", "mapping"),
+    "methods, mapping",
     [
         (("prc", "sequential-angle"), "street_scan"),
         (("sequential-angle", "prc"), "street_scan"),
@@ -216,7 +216,7 @@ AREAS = {
 
 
 @pytest.mark.parametrize(
-    ("option", "name", "text", "message"),
+    "option, name, text, message",
     [
         *(("--trees", "t.csv", text, message) for text, message in TREES.items()),
         *(("--inside", "a.geojson", text, message) for text, message in AREAS.items()),

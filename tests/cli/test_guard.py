@@ -143,7 +143,7 @@ def test_exit_codes_and_output_pass(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("number", "to_all"), [(signal.SIGTERM, False), (signal.SIGTERM, True), (signal.SIGINT, True)]
+    "number, to_all", [(signal.SIGTERM, False), (signal.SIGTERM, True), (signal.SIGINT, True)]
 )
 def test_signals_reach_the_work_once(number, to_all):
     """As ``kill`` and a scheduler send them.
@@ -288,7 +288,7 @@ def run(redirection: str, *arguments: str) -> tuple[int, bytes, str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("redirection", "name"), [("<&-", "stdin"), (">&-", "stdout")])
+@pytest.mark.parametrize("redirection, name", [("<&-", "stdin"), (">&-", "stdout")])
 def test_a_live_stream_needs_both_ends(redirection, name):
     code, out, err = run(redirection, "stream", "-M", "9")
     assert (code, out) == (2, b"")
@@ -323,7 +323,7 @@ print("still running")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends itself a signal")
-@pytest.mark.parametrize(("name", "code"), [("SIGTERM", 143), ("SIGINT", -2)])
+@pytest.mark.parametrize("name, code", [("SIGTERM", 143), ("SIGINT", -2)])
 def test_it_comes_again(name, code):
     program = PROGRAM.format(name=name, hangs=HANGS_S)
     done = patience.run([sys.executable, "-c", program], capture_output=True, text=True)

@@ -109,7 +109,7 @@ def test_the_path_as_sbet_is_read_by_the_definition_of_the_format(prc, cloud, tm
 
 
 @pytest.mark.parametrize(
-    ("name", "words", "code", "said"),
+    "name, words, code, said",
     [
         ("path.sbet", ("--range", "points"), 2, "--set input.trajectory_crs="),
         ("path.las", ("--range", "points"), 1, ".csv"),

@@ -54,7 +54,7 @@ def test_records_behind_the_count_of_the_header_are_a_warning(prc, tmp_path):
     assert "unread" not in prc(f"classify {source} {tmp_path}/p.npy -q {OPTIONS}").err
 
 
-@pytest.mark.parametrize(("version", "is_read"), [("1.5", True), ("1.9", False)])
+@pytest.mark.parametrize("version, is_read", [("1.5", True), ("1.9", False)])
 def test_las_1_5_is_read_and_written(
     prc,
     tmp_path,

@@ -83,9 +83,7 @@ REFUSED: list[tuple[Callable[[Path], Path], list[str]]] = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("make", "words"), REFUSED, ids=lambda value: getattr(value, "__name__", "")
-)
+@pytest.mark.parametrize("make, words", REFUSED, ids=lambda value: getattr(value, "__name__", ""))
 def test_one_clear_line_and_nothing_left(
     prc,
     tmp_path,
@@ -140,7 +138,7 @@ def test_cars_of_a_real_street(prc, real_data, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("file", "checks"),
+    "file, checks",
     [("ros/sick_lms1xx_ros1.bag", ("--set", "input.nadir=0")), ("organised/pumpA.e57", ())],
 )
 def test_rooms_are_doubted(

@@ -12,7 +12,7 @@ from prc_cli.cli.gone import GONE, GONE_OF
 
 
 @pytest.mark.parametrize(
-    ("command", "expected"),
+    "command, expected",
     [
         ("config show --method PRC", 'method = "prc"'),
         ("config show --method sequential_angle", 'method = "sequential-angle"'),
@@ -46,7 +46,7 @@ def test_tables_of_single_commands_are_shown_with_their_sources(prc, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("command", "answer"),
+    "command, answer",
     [
         ("clasify a b", "did you mean 'classify'?"),
         ("batch statsu a", "did you mean prc batch status?"),

@@ -95,7 +95,7 @@ def test_there_are_pairs_to_try():
 
 
 @pytest.mark.parametrize(
-    ("name", "reader", "writer"),
+    "name, reader, writer",
     [pytest.param(*pair, id=f"{pair[0]} {pair[1].name} {pair[2].name}") for pair in PAIRS],
 )
 @pytest.mark.parametrize("linked", [False, True])

@@ -33,7 +33,7 @@ URBAN = ("--preset", "prc-2019-urban", "-q", "--overwrite")
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "window", "key"),
+    "name, window, key",
     [
         ("d.npz", "13:41", "only_lines"),
         ("d.laz", "1001.3:1004.1", "only_time"),

@@ -24,7 +24,7 @@ def test_layers_override_each_other_and_name_their_source(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("table", "message"),
+    "table, message",
     [
         ({"prc": {"suport": {}}}, "--set prc.suport: unknown key; did you mean 'prc.support'?"),
         (

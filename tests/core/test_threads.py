@@ -63,9 +63,7 @@ def test_results_come_in_order(threads):
     assert list(ordered(uneven, [], threads=threads)) == []
 
 
-@pytest.mark.parametrize(
-    ("threads", "ahead", "most"), [(1, None, 1), (2, None, 4), (2, 3, 3), (3, 1, 1)]
-)
+@pytest.mark.parametrize("threads, ahead, most", [(1, None, 1), (2, None, 4), (2, 3, 3), (3, 1, 1)])
 def test_few_items_are_in_flight(threads, ahead, most):
     source = Source(40)
     taken = []
@@ -291,7 +289,7 @@ class TestWriteBehind:
 
 
 @pytest.mark.parametrize(
-    ("files", "quota"),
+    "files, quota",
     [
         ({}, None),
         ({"cpu.max": "max 100000\n"}, None),

@@ -122,7 +122,7 @@ def test_nothing_answered_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    "text, message",
     [
         ("", "is not JSON"),
         ("[" * 100_000, "is not JSON"),

@@ -55,7 +55,7 @@ def test_every_preset_takes_every_code_that_prc_predicts(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "code", "expected"),
+    "name, code, expected",
     [
         ("street_scan", 66, "vertical"),
         ("street_scan", 7, "other"),
@@ -117,7 +117,7 @@ def test_training_ids_are_named_and_have_a_mapping():
 
 
 @pytest.mark.parametrize(
-    ("name", "codes", "side", "fits"),
+    "name, codes, side, fits",
     [
         ("prc", [2, 67, 68], "predicted", "asprs or sequential_angle or street_scan"),
         ("prc", [1001, 1203], "reference", "oakland or street_oakland or street_scan_oakland"),
@@ -144,7 +144,7 @@ def test_a_refusal_names_the_presets_that_list_the_codes(
 
 
 @pytest.mark.parametrize(
-    ("table", "expected"),
+    "table, expected",
     [
         ({"reference": {"ground": ["5-2"]}}, "found '5-2'"),
         ({"reference": {"ground": ["two"]}}, "found 'two'"),

@@ -58,7 +58,7 @@ def street() -> ConfusionMatrix:
 
 
 @pytest.mark.parametrize(
-    ("gate", "value"),
+    "gate, value",
     [
         ("precision.stem", 0.580),
         ("precision.ground", 0.913),
@@ -77,7 +77,7 @@ def test_table_ii_scores(gate, value):
 
 
 @pytest.mark.parametrize(
-    ("gate", "printed", "digits"),
+    "gate, printed, digits",
     [
         ("recall.vegetation", 0.9, 3),  # .9001: printed with fewer digits than the others
         ("recall.vertical", 0.851, 4),

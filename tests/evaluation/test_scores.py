@@ -74,7 +74,7 @@ def test_good_points_called_noise_are_a_share_of_the_reference():
 
 
 @pytest.mark.parametrize(
-    ("name", "expected"),
+    "name, expected",
     [
         ("recall.road", "score: found class 'road', expected one of: noise, ground, stem"),
         (

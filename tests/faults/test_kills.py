@@ -118,7 +118,7 @@ def known(out: Path) -> list[Entry]:
 
 
 @pytest.mark.parametrize(
-    ("number", "n_times"),
+    "number, n_times",
     [
         (signal.SIGTERM, 1),
         (signal.SIGINT, 1),

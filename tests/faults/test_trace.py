@@ -105,7 +105,7 @@ def check_order(traced_calls: list[tuple[str, list[str]]], out: Path) -> set[str
 
 
 @pytest.mark.parametrize(
-    ("words", "outputs"),
+    "words, outputs",
     [
         (
             ("classify", "{seeds}/pf6.laz", "{out}/o.laz", "--preset", "prc-2019-urban", "-q"),

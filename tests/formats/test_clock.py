@@ -26,7 +26,7 @@ def test_a_clock_that_begins_anew_counts_on(period_s):
     assert "starts again" in notes[0]
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+@pytest.mark.parametrize("unit, factor", [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
 def test_large_times_are_in_the_unit_that_makes_them_seconds(unit, factor):
     seconds = 1.7e9 + np.arange(4000) * 1.25e-5
     detected, notes = read_times(np.rint(seconds * factor))

@@ -33,7 +33,7 @@ def test_nothing_is_refused_before_the_check(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "data", "message"),
+    "name, data, message",
     [
         ("a.las", b"", "the file is empty"),
         ("a.doc", b"x", "unknown suffix '.doc'"),
@@ -84,7 +84,7 @@ def test_the_layout_beside_a_dump_is_the_lowest_layer(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
+    "name, words",
     [
         ("a.rxp", ("RIEGL", "RiSCAN PRO")),
         ("a.rdbx", ("RIEGL",)),

@@ -27,7 +27,7 @@ def layout(*fields: dict[str, Any], **keys: Any) -> Layout:
 
 
 @pytest.mark.parametrize(
-    ("config", "message"),
+    "config, message",
     [
         (Layout(), "layout.fields: none given, expected at least one field"),
         (
@@ -89,7 +89,7 @@ SAMPLES = Path(__file__).resolve().parents[2] / "sample_configs" / "layouts"
 
 
 @pytest.mark.parametrize(
-    ("name", "n", "share_missing", "value"),
+    "name, n, share_missing, value",
     [
         ("ranges_f32", 100 * 2154, 200 / 2154, 5.0),
         ("faro_like_i4_mm", 20 * 5120, 1 / 3, 7.25),

@@ -6,7 +6,7 @@ from prc_cli.formats.names import angle_rules, usual_names
 
 
 @pytest.mark.parametrize(
-    ("names", "angle", "down"),
+    "names, angle, down",
     [
         ("range azimuth elevation", "elevation", "-90"),
         ("range elevation azimuth", "elevation", "-90"),

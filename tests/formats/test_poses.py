@@ -109,7 +109,7 @@ def test_what_is_no_pose_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("ahead", "offset", "name"),
+    "ahead, offset, name",
     [
         (18.0, 18, r"\+18 s, as UTC and GPS do"),
         (-18.0, -18, "-18 s, as UTC and GPS do"),

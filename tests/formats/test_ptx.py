@@ -90,7 +90,7 @@ SCAN = ptx_scan(grid_points(8, 6))
 
 
 @pytest.mark.parametrize(
-    ("old", "new"),
+    "old, new",
     [
         ("\n", "\r\n"),
         (SCAN + SCAN, SCAN + SCAN + "\n \n\r\n\n"),
@@ -132,7 +132,7 @@ GOOD = ptx_scan(grid_points(4, 5, missing=0))
 
 
 @pytest.mark.parametrize(
-    ("text", "parts"),
+    "text, parts",
     {
         "too few": (
             GOOD[: GOOD[:-1].rfind("\n") + 1],

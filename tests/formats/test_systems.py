@@ -26,7 +26,7 @@ BOUND = f'BOUNDCRS[SOURCECRS[{NEW}],TARGETCRS[GEOGCRS["WGS 84",ANGLEUNIT["degree
 
 
 @pytest.mark.parametrize(
-    ("crs", "xy_m", "z_m"),
+    "crs, xy_m, z_m",
     [
         (FOOT, 0.304800609601219, 0.304800609601219),
         (METRE, 1.0, 1.0),
@@ -62,7 +62,7 @@ def source_of(xyz: F64, crs: str | None) -> MemorySource:
 
 
 @pytest.mark.parametrize(
-    ("scale", "crs", "is_refused"),
+    "scale, crs, is_refused",
     [
         (1e-3, None, True),
         (1e-3, GEO, True),

@@ -41,7 +41,7 @@ def run(capfd: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int,
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    "text, message",
     [
         ("a = " + "[" * 100_000, "too deep"),
         ("a = " + "{b = " * 5_000, "too deep"),
@@ -98,7 +98,7 @@ def zeroed(content: bytes, number: int, n_zeros: int = 64) -> bytes:
     return content[:zeros_start] + bytes(n_zeros) + content[zeros_start + n_zeros :]
 
 
-@pytest.mark.parametrize(("name", "command"), [("pf7.laz", "classify"), ("copc7.laz", "transfer")])
+@pytest.mark.parametrize("name, command", [("pf7.laz", "classify"), ("copc7.laz", "transfer")])
 def test_damaged_laz_does_not_come_out_damaged(tmp_path, capfd, name, command):
     """Layers that no classifier needs were copied undecoded.
 

@@ -70,7 +70,7 @@ def test_the_first_command_takes_the_seed(server, name):
 
 
 @pytest.mark.parametrize(
-    ("name", "command", "code"),
+    "name, command, code",
     [
         ("endless.db3", "info {case} --deep", 0),
         ("huge_page.parquet", "evaluate {case} {case} --dimension range", 1),

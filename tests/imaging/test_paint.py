@@ -171,7 +171,7 @@ def test_labels_are_painted_saved_loaded_and_evaluated(kind, drive, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("head", "n_records"),
+    "head, n_records",
     [
         ("# labels by hand: a.laz, 12 records", 12),
         ("# labels by hand: a, b.laz", 0),

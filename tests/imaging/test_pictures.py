@@ -34,7 +34,7 @@ def test_segments_differ_are_stable_and_none_is_black():
 
 
 @pytest.mark.parametrize(
-    ("picture", "expected"),
+    "picture, expected",
     [
         (np.zeros((3, 4), np.uint8), r"grey: found uint8 of shape \(3, 4\), expected uint8"),
         (np.zeros((3, 4, 3)), "grey: found float64"),
@@ -66,7 +66,7 @@ def test_a_sample_is_bounded_even_and_does_not_depend_on_the_chunks():
     assert Sample(3).rows().shape == (0, 3)
 
 
-@pytest.mark.parametrize(("azimuth", "elevation"), [(0, 30), (215, -20), (-30, 89), (90, 90)])
+@pytest.mark.parametrize("azimuth, elevation", [(0, 30), (215, -20), (-30, 89), (90, 90)])
 def test_the_perspective_holds_the_points_upright(azimuth, elevation):
     points = box()
     view = Perspective.around(points, azimuth, elevation, 700, 500)

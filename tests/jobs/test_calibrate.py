@@ -96,7 +96,7 @@ def measured(image: F32, **known: Any) -> SensorEstimate:
 
 
 @pytest.mark.parametrize(
-    ("sigma_m", "per_m"), [(0.002, 0.0), (0.008, 0.0), (0.004, 0.001), (0.02, 0.001)]
+    "sigma_m, per_m", [(0.002, 0.0), (0.008, 0.0), (0.004, 0.001), (0.02, 0.001)]
 )
 def test_noise_is_found_without_knowing_angles_or_slopes(sigma_m, per_m):
     estimate = measured(corridor(sigma_m, per_m))
@@ -152,7 +152,7 @@ def advised(
     return {item.key: item for item in imply(sensor, curves, used, 0.02)}
 
 
-@pytest.mark.parametrize(("environment", "share"), [("urban", 0.95), ("forest", 0.5)])
+@pytest.mark.parametrize("environment, share", [("urban", 0.95), ("forest", 0.5)])
 @pytest.mark.parametrize("name", ["zeta_s", "zeta_p"])
 def test_thresholds_stay_where_they_support_a_share_of_the_plateau(environment, share, name):
     key = f"prc.support.{name}"
@@ -163,7 +163,7 @@ def test_thresholds_stay_where_they_support_a_share_of_the_plateau(environment, 
 
 
 @pytest.mark.parametrize(
-    ("known", "value", "reason"),
+    "known, value, reason",
     [
         ({}, 0.05, "the published value"),
         ({"sigma_m": 0.1}, 1.7, "17 times the deviation of flat stretches, 1e+02 mm at 10 m"),
@@ -209,7 +209,7 @@ def test_notes_say_why_a_method_is_calibrated_and_curves_lie_in_the_figure(tmp_p
 
 
 @pytest.mark.parametrize(
-    ("range_m", "fitted"), [([], (None, None)), ([7.0], (0.05, 0.0)), ([3, 9.0], (0.004, 0.003))]
+    "range_m, fitted", [([], (None, None)), ([7.0], (0.05, 0.0)), ([3, 9.0], (0.004, 0.003))]
 )
 def test_noise_is_fitted_to_flat_stretches(range_m, fitted):
     constant, growing = fitted

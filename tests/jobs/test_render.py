@@ -105,7 +105,7 @@ def test_the_headline_names_the_scanner_of_several(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("preset", "options", "expected"),
+    "preset, options, expected",
     [
         (
             "street-scan",

@@ -68,7 +68,7 @@ def test_neither_blocks_nor_threads_change_anything(drive, lines):
 
 
 @pytest.mark.parametrize(
-    ("crs", "said"),
+    "crs, said",
     [("EPSG:4326", "is not a projected one in metres"), ("EPSG:99999", "cannot be used")],
 )
 @pytest.mark.parametrize("track", [None, "drive.sbet", "drive.csv"])
@@ -103,7 +103,7 @@ def test_memory_does_not_grow_with_the_length(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("kind", "options", "said"),
+    "kind, options, said",
     [
         (
             "street",
@@ -137,7 +137,7 @@ def test_wrong_parameters_are_named(kind, options, said):
 
 
 @pytest.mark.parametrize(
-    ("kind", "output", "beside", "said"),
+    "kind, output, beside, said",
     [
         ("street", "a.npz", {"labels": "a.csv"}, "found suffix '.csv', expected .npy"),
         (

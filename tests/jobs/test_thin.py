@@ -56,7 +56,7 @@ QUARTER = parse_rules(["ground=1/4"])
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("source", "suffix"),
+    "source, suffix",
     [(".npz", ".las"), (".npz", ".npy"), (".npz", ".bin"), (".laz", ".csv.gz"), (".laz", ".npz")],
 )
 def test_what_is_dropped_is_missing(
@@ -161,7 +161,7 @@ def test_several_scanners_and_returns(tmp_path, suffix):
 
 
 @pytest.mark.parametrize(
-    ("rules", "said"),
+    "rules, said",
     [
         ({"keep": ["gruond=1/4"]}, "unknown class 'gruond'; did you mean 'ground'?"),
         (

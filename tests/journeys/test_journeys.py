@@ -176,7 +176,7 @@ def test_8_a_live_stream_has_the_labels_of_the_file(prc, preset):
 
 
 @pytest.mark.parametrize(
-    ("preset", "drive", "lines"),
+    "preset, drive, lines",
     [
         ("prc-2019-urban", "drive", 40),
         ("prc-2019-forest", "forest", 40),
@@ -219,7 +219,7 @@ def test_10_what_explain_says_is_what_the_loop_did(prc):
 
 
 @pytest.mark.parametrize(
-    ("drive", "preset", "name", "least"),
+    "drive, preset, name, least",
     [
         ("drive", "prc-2019-urban", "ground", 0.6),
         ("drive", "fused", "ground", 0.98),

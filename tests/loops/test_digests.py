@@ -38,7 +38,7 @@ def test_every_digest_has_cases():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "outputs", "sums", "changed"),
+    "arguments, outputs, sums, changed",
     [
         ("0a0b0c", "0102ff", [1.0, 2.0, 3.0], [2]),  # a label
         ("0a0b0c", "010203", [1.0, 2.01, 3.0], [1]),  # a height

@@ -171,7 +171,7 @@ TOLERANCES = {"line_angles": 2e-5, "signed_angles": 2e-5}
 
 @pytest.mark.parametrize("name", sorted(CASES))
 @pytest.mark.parametrize(
-    ("seed", "n_cases"), [(20190, LEAST), pytest.param(9, MOST, marks=pytest.mark.long)]
+    "seed, n_cases", [(20190, LEAST), pytest.param(9, MOST, marks=pytest.mark.long)]
 )
 def test_loop_equals_its_twin(name, seed, n_cases):
     compare_random(name, seed, n_cases)

@@ -253,7 +253,7 @@ def test_folders_pair_by_name_without_suffix(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("run", "reference", "message"),
+    "run, reference, message",
     [
         (
             ("a.npy",),

@@ -29,7 +29,7 @@ def points(n: int, seed: int, span: float = 60.0) -> F64:
 
 
 @pytest.mark.parametrize(
-    ("tolerance", "n", "most"), [(0.5, 900, 50), (3.0, 300, 7), (3.0, 20, 1000), (0.5, 0, 50)]
+    "tolerance, n, most", [(0.5, 900, 50), (3.0, 300, 7), (3.0, 20, 1000), (0.5, 0, 50)]
 )
 def test_every_point_comes_once_with_its_nearest_one(
     monkeypatch,
@@ -64,7 +64,7 @@ def test_of_points_as_near_the_one_of_the_nearest_time_is_taken():
 
 
 @pytest.mark.parametrize(
-    ("error", "thinned", "low", "high"),
+    "error, thinned, low, high",
     [(0.0, 1, 0.002, 0.3), (0.02, 1, 0.05, 0.3), (0.0, 9, 0.4, 1)],
 )
 def test_the_tolerance_follows_error_and_spacing(

@@ -104,7 +104,7 @@ def test_a_runner_that_is_left_early_leaves_no_thread():
 
 
 @pytest.mark.parametrize(
-    ("method", "step"),
+    "method, step",
     [
         ("prc", "background"),
         ("prc", "identify"),
@@ -174,7 +174,7 @@ def label_one(
     return min(candidates)[2] if candidates else Label.NOISE
 
 
-@pytest.mark.parametrize(("zeta_p", "zeta_s"), [(1.0, 1.0), (0.25, 1.0), (1.0, 0.1), (0.0, 0.5)])
+@pytest.mark.parametrize("zeta_p, zeta_s", [(1.0, 1.0), (0.25, 1.0), (1.0, 0.1), (0.0, 0.5)])
 def test_rule_one_return_at_a_time(zeta_p, zeta_s):
     rng = np.random.default_rng(11)
     for n_lines, width in [(1, 1), (1, 12), (2, 3), (9, 15)]:

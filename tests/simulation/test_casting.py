@@ -68,7 +68,7 @@ def profile(
 
 
 @pytest.mark.parametrize(
-    ("body", "origin", "towards", "t", "facing"),
+    "body, origin, towards, t, facing",
     [
         (FLOOR, (0, 0, 0), (0, 0, -1), 2.0, 1.0),
         (FLOOR, (0, 0, -5), (0, 0, 1), 3.0, 1.0),  # from below

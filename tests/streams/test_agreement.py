@@ -45,7 +45,7 @@ def drive(range_m: F64, xyz: F64, angle_rad: F64) -> ScanStream:
 
 
 @pytest.mark.parametrize(
-    ("angle_of", "note_part", "has_angles"),
+    "angle_of, note_part, has_angles",
     [
         (np.copy, "", True),
         (lambda a: np.deg2rad(np.round(np.rad2deg(a))), "", True),
@@ -67,7 +67,7 @@ def test_angles_that_are_not_those_of_the_shots_are_not_used(angle_of, note_part
 
 
 @pytest.mark.parametrize(
-    ("range_of", "is_doubted"),
+    "range_of, is_doubted",
     [
         (lambda range_m, _: range_m, False),
         (lambda range_m, _: 3.28 * range_m, True),

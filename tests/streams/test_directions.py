@@ -76,7 +76,7 @@ def room(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("step_deg", "m", "noise_m", "usual"),
+    "step_deg, m, noise_m, usual",
     [
         (0.1, 2500, 0.002, ""),
         (0.1, 2500, 0.01, ""),

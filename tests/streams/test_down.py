@@ -27,7 +27,7 @@ def test_beams_of_every_geometry_are_found(name, tilt_deg):
 
 
 @pytest.mark.parametrize(
-    ("xyz", "message"),
+    "xyz, message",
     [
         (np.full((3, 5, 3), np.nan), "no shot has a return"),
         (np.zeros((3, 5, 3)), "no shot has a return"),
@@ -57,7 +57,7 @@ def room(n_lines: int = 120) -> F64:
 
 
 @pytest.mark.parametrize(
-    ("offset_m", "message"),
+    "offset_m, message",
     [
         (
             (1.5, 0.5, 0.1),

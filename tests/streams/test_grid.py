@@ -187,7 +187,7 @@ def test_a_wrong_column_does_not_blow_up_the_image():
 
 @pytest.mark.parametrize("chunk_records", [1, 7, 1000])
 @pytest.mark.parametrize(
-    ("where", "lines"), [("scan_line", "auto"), ("lines = time: .*", "time:99000")]
+    "where, lines", [("scan_line", "auto"), ("lines = time: .*", "time:99000")]
 )
 def test_lines_that_are_nearly_all_empty_are_refused(chunk_records, where, lines):
     """3e10 cells for 300 records, every gap allowed by itself."""
@@ -284,7 +284,7 @@ def test_sorting_by_time_restores_the_scene():
 
 @pytest.mark.parametrize("chunk_records", [1, 2, 3, 1000])
 @pytest.mark.parametrize(
-    ("line", "options"),
+    "line, options",
     [
         ([0, 0, 1, 1, 2, np.nan, np.nan], {}),  # the last records have no line
         ([0, 0, 1, 1, 2, 2, 2], {"points_per_line": 2}),  # the last record has no column

@@ -22,9 +22,7 @@ NAN = np.nan
 WHERE = "drive.laz: scan_line"
 
 
-@pytest.mark.parametrize(
-    ("number", "shown"), [(3.5, "3.5"), (1e18, r"1e\+18"), (-1e300, r"-1e\+300")]
-)
+@pytest.mark.parametrize("number, shown", [(3.5, "3.5"), (1e18, r"1e\+18"), (-1e300, r"-1e\+300")])
 def test_dimension_refuses_what_is_no_line_number(number, shown):
     with pytest.raises(
         InputError,
@@ -103,7 +101,7 @@ def test_what_cannot_have_lines_by_elevation_is_refused(tmp_path):
 
 @pytest.mark.data
 @pytest.mark.parametrize(
-    ("name", "n_lines", "longest"), [("car_cloud400.csv", 213, 141), ("car_cloud401.csv", 214, 142)]
+    "name, n_lines, longest", [("car_cloud400.csv", 213, 141), ("car_cloud401.csv", 214, 142)]
 )
 def test_lines_of_a_rotating_profiler(
     real_data,

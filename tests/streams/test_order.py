@@ -87,7 +87,7 @@ def moved(kind: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("kind", "hint"),
+    "kind, hint",
     [
         ("swapped halves", "if no record is missing: --sort-by-time"),
         ("permuted blocks", "if no record is missing: --sort-by-time"),

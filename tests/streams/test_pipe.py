@@ -80,7 +80,7 @@ def test_the_same_stream_as_from_a_file(tmp_path, sizes):
 
 
 @pytest.mark.parametrize(
-    ("data", "message"),
+    "data, message",
     [
         (b"", "ended before the first record of 4 bytes"),
         (b"abc", "ended before the first record of 4 bytes"),
@@ -122,9 +122,7 @@ class ReadsAhead:
             yield ScanBlock(first, np.ones((10, 8), np.float32), tally=tally, is_last=first > 0)
 
 
-@pytest.mark.parametrize(
-    ("lines", "n_lines"), [("0:10", 10), ("0:12", 12), ("3:20", 17), (":", 20)]
-)
+@pytest.mark.parametrize("lines, n_lines", [("0:10", 10), ("0:12", 12), ("3:20", 17), (":", 20)])
 def test_records_of_the_window_are_counted_and_no_others(lines, n_lines):
     config = InputConfig(only_lines=lines)
     blocks = list(windowed(Stream.of(ReadsAhead()), config).blocks())

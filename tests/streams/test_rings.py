@@ -97,7 +97,7 @@ def test_every_record_finds_its_cell(way, begin_deg, upwards):
 
 
 @pytest.mark.parametrize(
-    ("keys", "key"),
+    "keys, key",
     [
         ({"columns": "angle"}, "columns"),
         ({"range": "dimension:range"}, "range"),

@@ -12,7 +12,7 @@ from tests.streams.record_lists import M, only, open_records, read, scene
 
 
 @pytest.mark.parametrize("name", ["scan_line", "column"])
-@pytest.mark.parametrize(("size", "phase"), [(1, 0), (2, 1), (10, 0), (176, 3)])
+@pytest.mark.parametrize("size, phase", [(1, 0), (2, 1), (10, 0), (176, 3)])
 def test_numbers_in_steps_give_the_same_lines(name, size, phase):
     image, records = scene()
     changed = {**records, name: records[name].astype(np.int64) * size + phase}

@@ -37,7 +37,7 @@ def write_sbet(path: Path, rows: list[tuple[float, float, float, float]]) -> Pat
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    "text, message",
     [
         ("", "drive.csv: empty file, expected a trajectory"),
         ("\n\n", "no column for time (one of time, gps_time, gpstime, t), found ''"),
@@ -98,7 +98,7 @@ def test_sbet_is_projected_and_keeps_altitudes(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("crs", "heights", "alone"),
+    "crs, heights, alone",
     [
         ("EPSG:3067+5717", "N60 height", "EPSG:3067"),
         ("EPSG:32635+5773", "EGM96 height", "EPSG:32635"),
@@ -143,7 +143,7 @@ def test_sbet_without_a_coordinate_system(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("crs", "message"),
+    "crs, message",
     [
         ("EPSG:4326", "'EPSG:4326' is not a projected one in metres"),
         ("EPSG:2263", "'EPSG:2263' is not a projected one in metres"),
@@ -183,7 +183,7 @@ WEEK = 604_800.0
 
 
 @pytest.mark.parametrize(
-    ("offset", "hint"),
+    "offset, hint",
     [
         (WEEK, "differ by +1 GPS weeks: try --set input.trajectory_time_offset=604800"),
         (-2 * WEEK, "differ by -2 GPS weeks: try --set input.trajectory_time_offset=-1209600"),

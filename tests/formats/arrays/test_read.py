@@ -82,7 +82,7 @@ def test_rows_that_are_rings_are_exchanged(tmp_path, chunk, clue, order):
 
 
 @pytest.mark.parametrize(
-    ("array", "message"),
+    "array, message",
     [
         (
             np.ones((2, 3), complex),
@@ -115,7 +115,7 @@ def test_arrays_that_are_no_range_image(tmp_path, array, message):
 
 
 @pytest.mark.parametrize(
-    ("beside", "message"),
+    "beside, message",
     [
         (
             {"angle_deg": np.zeros(4)},
@@ -165,7 +165,7 @@ def test_rules_that_an_image_cannot_follow(tmp_path, keys):
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    "change, message",
     [
         (lambda raw: raw[:50], "no npy header (EOF: reading array header"),
         (lambda raw: raw + b"\0", "found 141 bytes of numbers, expected 140 for shape (7, 5)"),

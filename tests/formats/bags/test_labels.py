@@ -143,7 +143,7 @@ def test_nothing_is_left_of_a_run_that_ends_early(tmp_path, out, monkeypatch, su
 
 
 @pytest.mark.parametrize(
-    ("suffix", "packed"),
+    "suffix, packed",
     [
         *((".bag", compression) for compression in ("", "bz2", "lz4")),
         *((".mcap", compression) for compression in ("", "lz4", "zstd")),

@@ -56,9 +56,7 @@ def test_clouds_and_laser_scans_are_read_together_but_for_scans_of_a_cloud(tmp_p
     assert np.array_equal(known, np.arange(sum(block.tally.n_records for block in blocks)))
 
 
-@pytest.mark.parametrize(
-    ("name", "mend"), [("a.bag", "rosbag reindex"), ("a.mcap", "mcap recover")]
-)
+@pytest.mark.parametrize("name, mend", [("a.bag", "rosbag reindex"), ("a.mcap", "mcap recover")])
 def test_a_bag_whose_recorder_crashed_names_the_command_that_mends_it(tmp_path, name, mend):
     path = tmp_path / name
     if name == "a.bag":
@@ -112,7 +110,7 @@ def test_a_database_that_is_not_whole(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("step", "expected"),
+    "step, expected",
     [(0.2, "0.2, expected about 0.0769231"), (-3.0 / 39, "-0.0769231")],
 )
 def test_set_ups_that_change_are_refused(tmp_path, step, expected):
@@ -156,7 +154,7 @@ def test_a_database_whose_pages_point_to_one_child():
 @pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(
-    ("name", "m", "missing"),
+    "name, m, missing",
     [("40p", 40, 0.247), ("64", 64, 0.225), ("qt64", 64, 0.037), ("vlp32", 32, 0.499)],
 )
 def test_the_samples_of_every_model_have_the_points_of_another_decoder(real_data, name, m, missing):

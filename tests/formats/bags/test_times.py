@@ -160,7 +160,7 @@ def test_points_without_times_lie_in_columns_of_their_azimuth(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("names", "expected"),
+    "names, expected",
     [
         (
             ["x", "y", "z", "intensity"],
@@ -189,7 +189,7 @@ def test_fields_of_an_unknown_type_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("columns_of_a_time", "problem"),
+    "columns_of_a_time, problem",
     [
         (1, "each with azimuths all around"),
         (70, "326 points of a ring share 3 times"),
@@ -206,7 +206,7 @@ def test_two_scanners_in_one_cloud_are_refused(tmp_path, columns_of_a_time, prob
 
 
 @pytest.mark.parametrize(
-    ("numbers", "note"),
+    "numbers, note",
     [
         (1 + np.arange(8), ""),
         (4 * np.arange(8), "in steps of 4"),

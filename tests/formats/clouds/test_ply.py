@@ -123,7 +123,7 @@ RANGE = "property float range\n"
 
 
 @pytest.mark.parametrize(
-    ("head", "message"),
+    "head, message",
     [
         (f"format binary_little_endian 1.0\nelement vertex 3\n{RANGE}", "in point 1"),
         (f"format ascii 1.0\nelement vertex 99999\n{RANGE}property int a\n", "after 1"),
@@ -145,7 +145,7 @@ def test_headers_that_lie(tmp_path, head, message):
 
 
 @pytest.mark.parametrize(
-    ("text", "message"), [(f"ply\n{VERTEX}", "no line end_header"), ("plx\n", "expected ply")]
+    "text, message", [(f"ply\n{VERTEX}", "no line end_header"), ("plx\n", "expected ply")]
 )
 def test_what_is_no_header(tmp_path, text, message):
     (tmp_path / "a.ply").write_text(text)
@@ -191,7 +191,7 @@ def pcd_columns() -> dict[str, Array]:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "message"),
+    "old, new, message",
     [
         ("WIDTH 40", "WIDTH 41", "WIDTH 41 x HEIGHT 13 = 533 points, but POINTS 520"),
         ("WIDTH 40\nHEIGHT 13", "WIDTH 4000\nHEIGHT 1300", "but POINTS 520"),

@@ -97,7 +97,7 @@ def test_registered_points_without_a_pose_take_the_place_of_the_scanner(tmp_path
         assert "one scan of x, y, z without a pose" in refused(path, config)
 
 
-@pytest.mark.parametrize(("shots", "chunk"), [(1, 3), (20, 17), (70, 3)])
+@pytest.mark.parametrize("shots, chunk", [(1, 3), (20, 17), (70, 3)])
 def test_chunks_change_nothing(tmp_path, monkeypatch, shots, chunk):
     points = grid_points(9, 7)
     fields = [*(ordered_fields(points, name) for name in ORDERS), e57_fields(grid_points(4, 12, 2))]
@@ -118,7 +118,7 @@ COLUMN = "columnIndex"
 
 
 @pytest.mark.parametrize(
-    ("fields", "message"),
+    "fields, message",
     [
         ({ROW: None, COLUMN: None}, "no rowIndex and no columnIndex"),
         ({COLUMN: None}, "no columnIndex: the points are not organised"),

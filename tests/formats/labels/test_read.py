@@ -40,7 +40,7 @@ def write_parquet(path: Path, **columns: Any) -> Path:
 
 @pytest.mark.parametrize("packed", ["", ".gz"])
 @pytest.mark.parametrize(
-    ("header", "asked"),
+    "header, asked",
     [("record,class,name", None), ("record,Label,name", None), ("class,mine,name", "mine")],
 )
 def test_text(
@@ -68,7 +68,7 @@ def test_parquet(tmp_path, kind):
 
 
 @pytest.mark.parametrize(
-    ("values", "message"),
+    "values, message",
     [
         ([1, 2.5], "record 1: found the class code 2.5, expected a whole number"),
         ([1, 2, np.nan], "record 2: found the class code nan, expected a whole number"),

@@ -137,7 +137,7 @@ def test_scaled_extra_bytes_and_no_data(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "description", "radians"),
+    "name, description, radians",
     [
         ("angle", "", np.pi / 180),
         ("angle_deg", "", np.pi / 180),
@@ -193,7 +193,7 @@ def refused(path: Path) -> str:
 
 # the golden cases hold other fields of a header that lie
 @pytest.mark.parametrize(
-    ("offset", "layout", "value", "message"),
+    "offset, layout, value, message",
     [
         (
             227 + 20,
@@ -332,7 +332,7 @@ def test_laszip_vlr_that_lies(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "read_as", "factor"), [("range_mm", "range", 0.001), ("level", "level", 1.0)]
+    "name, read_as, factor", [("range_mm", "range", 0.001), ("level", "level", 1.0)]
 )
 def test_extra_bytes_with_an_offset_alone_have_it_in_their_unit(
     tmp_path,

@@ -58,7 +58,7 @@ def rewrite(
     return parse(output), ClassCodes().lookup()[labels]
 
 
-@pytest.mark.parametrize(("before", "after"), [(".las", ".laz"), (".laz", ".las")])
+@pytest.mark.parametrize("before, after", [(".las", ".laz"), (".laz", ".las")])
 @pytest.mark.parametrize("form", range(11))
 def test_only_the_class_changes(
     tmp_path,
@@ -314,9 +314,7 @@ def test_xyz_time_intensity_and_scanner(tmp_path):
     assert any(clipped in text for text in record.notices)
 
 
-@pytest.mark.parametrize(
-    ("before", "after"), [(".las", ".laz"), (".laz", ".laz"), (".las", ".las")]
-)
+@pytest.mark.parametrize("before, after", [(".las", ".laz"), (".laz", ".laz"), (".las", ".las")])
 def test_texts_that_are_none_are_written_so_that_others_can_read_the_file(tmp_path, before, after):
     source = tmp_path / f"in{before}"
     output = tmp_path / f"out{after}"

@@ -94,7 +94,7 @@ def test_records_have_the_contexts_that_they_were_made_of():
 
 
 @pytest.mark.parametrize(
-    ("n", "chunk_points"), [(1, 50), (50, 50), (51, 50), (1030, 50), (7, 1), (300, 50_000)]
+    "n, chunk_points", [(1, 50), (50, 50), (51, 50), (1030, 50), (7, 1), (300, 50_000)]
 )
 @pytest.mark.parametrize("form", [6, 7, 8])
 def test_bytes_are_those_of_compressing_everything(
@@ -117,7 +117,7 @@ def test_bytes_are_those_of_compressing_everything(
     assert np.array_equal(classes(spliced), codes)
 
 
-@pytest.mark.parametrize(("offset", "lie"), [(0, 49), (4, 3_000_000)])
+@pytest.mark.parametrize("offset, lie", [(0, 49), (4, 3_000_000)])
 def test_chunks_whose_heads_lie_are_left_to_the_decoder(tmp_path, offset, lie):
     """The number of records of a chunk, or the length of a layer."""
     source = tmp_path / "in.laz"

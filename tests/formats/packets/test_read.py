@@ -127,7 +127,7 @@ def test_ouster_columns_are_destaggered_in_angle_not_in_time(tmp_path, profile):
     assert stream.info.facts.has_line_times
 
 
-@pytest.mark.parametrize(("first", "last", "every"), [(0, 119, 120), (10, 99, 92)])
+@pytest.mark.parametrize("first, last, every", [(0, 119, 120), (10, 99, 92)])
 def test_ouster_columns_outside_the_window_are_not_read(tmp_path, first, last, every):
     table, packets = made.ouster(good=128)
     table["data_format"]["column_window"] = [first, last]
@@ -143,7 +143,7 @@ def test_ouster_columns_outside_the_window_are_not_read(tmp_path, first, last, e
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    "changes, message",
     [
         ({"pixels_per_column": 5}, "beam_azimuth_angles: found list of 4, expected 5 numbers"),
         (
@@ -180,7 +180,7 @@ XT16 = made.hesai("XT16")[0][0]
 
 
 @pytest.mark.parametrize(
-    ("packets", "message"),
+    "packets, message",
     [
         (
             made.vlp16(model=0x23),
@@ -204,7 +204,7 @@ def test_packets_that_cannot_be_read_are_named(tmp_path, packets, message):
 
 
 @pytest.mark.parametrize(
-    ("data", "message"),
+    "data, message",
     [
         (b"no capture", "begins with 6e6f2063, expected a capture"),
         (

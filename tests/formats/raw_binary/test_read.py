@@ -22,7 +22,7 @@ WIDE = Layout(
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    "content, message",
     [
         (b"", "the file is empty (0 bytes), expected records of 24 bytes"),
         (b"HEA", "found 3 bytes, fewer than the header of 5 bytes; check layout.header_bytes"),

@@ -28,7 +28,7 @@ def write(
 
 @pytest.mark.parametrize("suffix", [".txt", ".csv", ".asc"])
 @pytest.mark.parametrize(
-    ("head", "delimiter", "line"),
+    "head, delimiter, line",
     [
         ("# scan_line column angle range\n", " ", 1),
         ("#scan_line,column,angle,range\n", ",", 1),
@@ -66,7 +66,7 @@ def test_a_count_of_rows_is_no_row(tmp_path, suffix):
 
 
 @pytest.mark.parametrize(
-    ("cell", "hint"),
+    "cell, hint",
     [
         ('"68,072.0"', "without thousands separators"),
         ("1.5D+02", "exponents with E"),

@@ -80,7 +80,7 @@ def test_values_do_not_depend_on_blocks(
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    "content, message",
     [
         (
             "range,x\n1,2\n\n# c\nabc,3\n",
@@ -129,7 +129,7 @@ def test_errors_name_the_line_and_the_text(
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    "content, message",
     [
         (b"", "the file is empty, expected a record a row"),
         (b"\xef\xbb\xbf", "the file is empty"),

@@ -72,7 +72,7 @@ def test_records_are_read_in_any_order(tmp_path, monkeypatch, page_bytes):
 
 
 @pytest.mark.parametrize(
-    ("value", "kept"),
+    "value, kept",
     [
         ("trajectory:/home/a/drive.csv", "trajectory:drive.csv"),
         ("/data/x.las", "x.las"),

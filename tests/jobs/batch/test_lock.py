@@ -81,7 +81,7 @@ def test_a_second_run_is_told_who_is_at_work(folder):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("first", "second", "together"),
+    "first, second, together",
     [
         (None, None, False),
         (None, "1/2", False),

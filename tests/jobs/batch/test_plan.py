@@ -165,7 +165,7 @@ def test_later_overrides_win_and_presets_lie_below_the_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    "text, message",
     [
         ("override = 3", "expected tables"),
         ("override = [3]", "expected tables"),
@@ -247,7 +247,7 @@ def archive(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("include", "exclude", "expected"),
+    "include, exclude, expected",
     [
         (["*.laz"], [], ["b.laz"]),
         (["*.LAZ", "*.las"], [], ["a/10.LAZ", "a/2.las"]),

@@ -102,7 +102,7 @@ def test_a_damaged_reference_costs_its_file_only(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "expected"),
+    "changes, expected",
     [
         ({"mapping_name": "nothing"}, "nothing"),
         ({"match": "luck"}, "order, time"),

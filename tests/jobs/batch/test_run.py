@@ -108,7 +108,7 @@ def test_a_second_run_has_nothing_to_do(settings):
 
 
 @pytest.mark.parametrize(
-    ("kind", "retry", "attempts"),
+    "kind, retry, attempts",
     [
         ("InputError", 5, 1),
         ("ConfigError", 5, 1),
@@ -172,9 +172,7 @@ def test_fail_fast_begins_nothing_more(settings):
     assert len(run_batch(settings, Scripted()).done) == 3
 
 
-@pytest.mark.parametrize(
-    ("signal_error", "code"), [(KeyboardInterrupt(), 130), (SystemExit(143), 143)]
-)
+@pytest.mark.parametrize("signal_error, code", [(KeyboardInterrupt(), 130), (SystemExit(143), 143)])
 def test_a_signal_is_noted_and_passed_on(settings, signal_error, code):
     closed = []
 

@@ -46,7 +46,7 @@ def evaluation(*, value: float) -> BatchEvaluation:
 
 
 @pytest.mark.parametrize(
-    ("changes", "code"),
+    "changes, code",
     [
         ({}, 0),
         ({"n_waiting": 3}, 0),
@@ -198,7 +198,7 @@ def test_alarms_at_their_limits():
 
 
 @pytest.mark.parametrize(
-    ("n_alike", "n_usual", "is_odd"), [(2, 20, True), (3, 20, False), (4, 90, True), (5, 90, False)]
+    "n_alike, n_usual, is_odd", [(2, 20, True), (3, 20, False), (4, 90, True), (5, 90, False)]
 )
 def test_a_kind_of_drive_that_was_there_is_not_odd(n_alike, n_usual, is_odd):
     for alike, expected in ((149, is_odd), (151, True)):

@@ -272,7 +272,7 @@ def test_other_coordinate_systems_are_refused_with_both_names(drive, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("options", "expected"),
+    "options, expected",
     [
         (
             {"match": "colour"},
@@ -364,7 +364,7 @@ def test_two_scans_are_not_matched_by_cell(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("labels", "other"), [(".npy", ".laz"), (".csv", ".ply"), ("grid.csv", ".laz")]
+    "labels, other", [(".npy", ".laz"), (".csv", ".ply"), ("grid.csv", ".laz")]
 )
 def test_files_of_one_drive_are_matched_by_cell_where_their_numbers_differ(tmp_path, labels, other):
     image = street()

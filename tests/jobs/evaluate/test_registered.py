@@ -219,7 +219,7 @@ def test_three_labellings(town, folder, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    "options, message",
     [
         ({"inside": "1,2,3"}, "expected X1,Y1,X2,Y2 or a .geojson file"),
         ({"inside": "900,900,901,901"}, "none of the .* predicted shots is in 900"),
@@ -325,7 +325,7 @@ def test_transfer_places_the_shots_too(drive, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "poses", "message"),
+    "arguments, poses, message",
     [
         (("--mount", "0,25"), "poses.csv", "expected ROLL,PITCH,YAW or ROLL,PITCH,YAW,X,Y,Z"),
         (("--mount", "up"), "poses.csv", "expected numbers separated by commas"),

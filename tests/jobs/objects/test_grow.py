@@ -132,7 +132,7 @@ def test_runs_end_at_jumps_other_classes_and_gaps():
     assert not list(runs_of(item(labels, range_m), (Label.CAR,)))
 
 
-@pytest.mark.parametrize(("n_lines", "n_stems"), [(2, 1), (3, 2)])
+@pytest.mark.parametrize("n_lines, n_stems", [(2, 1), (3, 2)])
 def test_a_gap_is_bridged_up_to_the_limit_of_its_rule(n_lines, n_stems):
     labels, range_m = scene()
     lines = [15, 16, *[0] * n_lines, 15, 16]

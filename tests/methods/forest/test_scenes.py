@@ -9,7 +9,7 @@ from prc_cli.methods.forest.thresholds import FOREST
 
 
 @pytest.mark.parametrize(
-    ("right", "height_m", "range_m", "is_stem"),
+    "right, height_m, range_m, is_stem",
     [
         (Reason.MISSING, np.nan, np.nan, False),
         (Reason.FAR_BELOW, -0.21, 9.0, False),

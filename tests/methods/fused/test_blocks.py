@@ -94,7 +94,7 @@ def test_the_noise_is_by_the_median(n):
     assert range_noise(values) == deviation
 
 
-@pytest.mark.parametrize(("n", "is_known"), [(100, True), (99, False)])
+@pytest.mark.parametrize("n, is_known", [(100, True), (99, False)])
 def test_noise_takes_a_hundred_triples_of_shots(n, is_known):
     side: F32 = np.linspace(1, 9, n + 2, dtype=np.float32)[None]
     height = np.random.default_rng(2).normal(-2, 0.01, side.shape).astype(np.float32)
@@ -181,9 +181,7 @@ def test_evidence_of_streams_is_put_together_by_lines():
     assert alone is evidences[0]
 
 
-@pytest.mark.parametrize(
-    ("first", "every", "n_lines"), [(0, 1, 5), (1, 2, 4), (2, 3, 91), (5, 8, 11)]
-)
+@pytest.mark.parametrize("first, every, n_lines", [(0, 1, 5), (1, 2, 4), (2, 3, 91), (5, 8, 11)])
 def test_lines_beyond_the_window_are_the_outermost_of_the_stream(first, every, n_lines):
     begin = pipeline.SPACED_LINES + first
     there = np.arange(begin % every, n_lines + 2 * pipeline.SPACED_LINES, every)

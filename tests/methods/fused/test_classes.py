@@ -115,7 +115,7 @@ def test_a_post_goes_on_beyond_single_shots_that_miss_it(street):
     assert not (classified(ranges, columns={"reach": 1})[20, seen] == Label.POLE).any()
 
 
-@pytest.mark.parametrize(("n_columns", "reach"), [(47, 1), (48, 2)])
+@pytest.mark.parametrize("n_columns, reach", [(47, 1), (48, 2)])
 def test_few_rings_are_not_followed_beyond_missed_shots(n_columns, reach):
     beams = np.deg2rad(np.linspace(60, 100, n_columns))
     assert FusedScanner.of(beams).limits.columns.reach == reach
@@ -150,7 +150,7 @@ def corner(off: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("nearer_m", "label"),
+    "nearer_m, label",
     [
         (trunk, Label.VEGETATION),
         (partial(trunk, radius_m=0.11), Label.POLE),

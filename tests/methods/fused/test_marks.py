@@ -14,7 +14,7 @@ LEAVES = SpacingThresholds(np.float32(0.125), np.float32(0.0), np.float32(1.0))
 
 
 @pytest.mark.parametrize(
-    ("steps_m", "n_leaves"),
+    "steps_m, n_leaves",
     [
         ([0.5, -0.5, 0.5, -0.5, 0.5, -0.5], 3),  # all shots but two at either end
         ([0.5, -0.5, 0.5, -0.5], 1),
@@ -28,7 +28,7 @@ LEAVES = SpacingThresholds(np.float32(0.125), np.float32(0.0), np.float32(1.0))
     ],
 )
 @pytest.mark.parametrize("turned", [False, True])
-@pytest.mark.parametrize(("off_m", "is_met"), [(0.0, True), (0.0625, True), (0.125, False)])
+@pytest.mark.parametrize("off_m, is_met", [(0.0, True), (0.0625, True), (0.125, False)])
 def test_leaves_of_a_line_that_earlier_lines_meet_again(steps_m, n_leaves, turned, off_m, is_met):
     line = 5.0 + np.cumsum([0.0, *steps_m])
     lines = np.tile(line[::-1] if turned else line, (MOST_LAG + 1, 1)).astype(np.float32)
@@ -38,7 +38,7 @@ def test_leaves_of_a_line_that_earlier_lines_meet_again(steps_m, n_leaves, turne
 
 
 @pytest.mark.parametrize(
-    ("near", "smooth", "upright", "level", "is_level"),
+    "near, smooth, upright, level, is_level",
     [
         (LEAST_NEAR, 1, 0, 1, True),
         (LEAST_NEAR - 1, 1, 0, 1, False),

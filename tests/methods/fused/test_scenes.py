@@ -121,7 +121,7 @@ def reasons(
 
 
 @pytest.mark.parametrize(
-    ("right", "shot"),
+    "right, shot",
     [
         # noise
         (Reason.MISSING, {"range_m": np.nan, "above_m": np.nan, "near": 0}),

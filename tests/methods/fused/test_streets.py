@@ -96,7 +96,7 @@ def test_a_drive_that_begins_beneath_trees_sees_better_later():
 
 
 @pytest.mark.parametrize(
-    ("off", "kind"),
+    "off, kind",
     [
         ({"decision": {"least_near": 0, "spike_share": NEVER}}, STRAY),
         ({"decision": {"car_bins": NO_BINS, "car_bins_rough": NO_BINS}}, CAR),

@@ -69,7 +69,7 @@ def test_pipeline_equals_the_oracle_at_the_published_parameters():
 
 
 @pytest.mark.parametrize(
-    ("table", "message"),
+    "table, message",
     [
         (
             {"support": {"zeta_s": -1}},

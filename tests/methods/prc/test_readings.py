@@ -36,7 +36,7 @@ def wall(n_lines: int = 5, width: int = 20) -> F32:
 
 
 @pytest.mark.parametrize(
-    ("in_line", "beside", "rounding", "is_supported"),
+    "in_line, beside, rounding, is_supported",
     [
         (3, 2, "ceil", True),
         (2, 2, "ceil", False),
@@ -77,7 +77,7 @@ STEP = (20.0, 20.0, 5.0, 5.0, 5.0)
 
 
 @pytest.mark.parametrize(
-    ("form", "line", "expected"),
+    "form, line, expected",
     [
         ("centred", UP, "....."),
         ("centred", DOWN, "....."),
@@ -109,7 +109,7 @@ def test_shots_of_a_supported_line_where_equation_9_does_not_hold(form, line, ex
 
 
 @pytest.mark.parametrize(
-    ("picture", "components"),
+    "picture, components",
     [
         (["#.", ".#"], [[1, 0], [0, 2]]),  # diagonal pixels are apart
         (["#.#", "#.#"], [[1, 0, 2], [1, 0, 2]]),  # columns do not wrap
@@ -126,7 +126,7 @@ def test_components_and_their_holes(picture, components):
 
 
 @pytest.mark.parametrize(
-    ("first", "last", "labels"),
+    "first, last, labels",
     [
         ([1, 1, 1, 0], [7, 7, 7, 0], [7]),
         ([1, 1, 1, 0], [7, 7, 0, 7], [0]),  # two votes, the third is in another column
@@ -161,9 +161,7 @@ def test_the_area_is_counted_in_the_block_alone():
     assert (labels[3:, :8] == Label.VEGETATION).all()
 
 
-@pytest.mark.parametrize(
-    ("lines_per_block", "expected"), [(6, Label.VEGETATION), (20, Label.GROUND)]
-)
+@pytest.mark.parametrize("lines_per_block, expected", [(6, Label.VEGETATION), (20, Label.GROUND)])
 def test_a_short_last_block_asks_for_an_area_in_proportion(lines_per_block, expected):
     """60 pixels against 100, or against 100 * 6 / 20 = 30."""
     params = {"lines_per_block": lines_per_block, "surfaces": {"area": 100}}

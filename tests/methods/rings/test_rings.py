@@ -121,7 +121,7 @@ def labels(made):
 
 
 @pytest.mark.parametrize(
-    ("body", "label", "recall", "precision"),
+    "body, label, recall, precision",
     [
         (1, Label.GROUND, 0.97, 0.97),
         (2, Label.BUILDING, 0.95, 0.9),
@@ -145,7 +145,7 @@ def test_bodies_have_their_class(
     assert ((labels == Label.MISSING) == (made[2] == 0)).all()
 
 
-@pytest.mark.parametrize(("chunk", "threads"), [(1, 1), (7, 3), (1024, 2), (1800, 3)])
+@pytest.mark.parametrize("chunk, threads", [(1, 1), (7, 3), (1024, 2), (1800, 3)])
 def test_labels_depend_neither_on_chunks_nor_on_threads(
     made,
     labels,
@@ -276,7 +276,7 @@ def test_small_and_dull_images_are_labelled(shape, value):
 
 
 @pytest.mark.parametrize(
-    ("first_deg", "last_deg", "n", "expected"),
+    "first_deg, last_deg, n, expected",
     [
         (65, 92, 64, True),
         (67.5, 112.5, 16, True),

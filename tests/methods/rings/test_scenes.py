@@ -9,7 +9,7 @@ from prc_cli.methods.rings.thresholds import GroundThresholds, LonelyThresholds
 
 
 @pytest.mark.parametrize(
-    ("heights_m", "lowest_m"),
+    "heights_m, lowest_m",
     [
         ([np.nan], np.nan),
         ([-1.5], -1.5),  # nothing else tells
@@ -30,7 +30,7 @@ def test_two_shots_confirm_the_lowest_height(heights_m, lowest_m, up):
 
 
 @pytest.mark.parametrize(
-    ("heights_m", "is_ground"),
+    "heights_m, is_ground",
     [
         ([0.0, 0.0, 0.0, 0.0], [True, True, True, True]),
         ([0.0, 0.1, 0.2, 0.3], [True, True, True, True]),  # a slope of 5 %
@@ -50,7 +50,7 @@ def test_the_walk_takes_what_is_near_to_what_it_expects(heights_m, is_ground):
 
 
 @pytest.mark.parametrize(
-    ("range_m", "around", "light", "is_lonely"),
+    "range_m, around, light, is_lonely",
     [
         (5.0, {}, 10.0, True),
         (5.0, {(3, 1): 5.1}, 10.0, True),

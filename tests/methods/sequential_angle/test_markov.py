@@ -14,7 +14,7 @@ from prc_cli.methods.sequential_angle.thresholds import (
 
 
 @pytest.mark.parametrize(
-    ("table", "message"),
+    "table, message",
     [
         (
             {"h0": [[0.9, 0.1, 0.1], [0.1, 0.9, 0.0], [0.0, 0.0, 1.0]]},

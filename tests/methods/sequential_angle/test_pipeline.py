@@ -79,9 +79,7 @@ def both_sides(block: ScanBlock) -> ScanBlock:
 
 
 @pytest.mark.parametrize("two_sides", [False, True])
-@pytest.mark.parametrize(
-    ("lines", "threads", "shots"), [(1, 1, 1), (49, 2, 3000), (20, 3, 100_000)]
-)
+@pytest.mark.parametrize("lines, threads, shots", [(1, 1, 1), (49, 2, 3000), (20, 3, 100_000)])
 def test_labels_depend_neither_on_cuts_nor_on_threads(two_sides, lines, threads, shots):
     block = scan()
     block = both_sides(block) if two_sides else block

@@ -41,7 +41,7 @@ def street(m: int, n_lines: int, seed: int = 0) -> np.ndarray:
     return ranges
 
 
-@pytest.mark.parametrize(("m", "n_lines"), [(10, 60), (97, 30), (97, 17), (1000, 40), (5099, 20)])
+@pytest.mark.parametrize("m, n_lines", [(10, 60), (97, 30), (97, 17), (1000, 40), (5099, 20)])
 def test_period_of_a_street(m, n_lines):
     estimate = estimate_points_per_line(street(m, n_lines))
     assert estimate.points_per_line == m
@@ -49,7 +49,7 @@ def test_period_of_a_street(m, n_lines):
     assert estimate.n_shots_used == m * n_lines
 
 
-@pytest.mark.parametrize(("n_shots", "m"), [(99, None), (100, 5)])
+@pytest.mark.parametrize("n_shots, m", [(99, None), (100, 5)])
 def test_a_hundred_ranges_are_enough(n_shots, m):
     line = np.random.default_rng(2).uniform(2, 20, 5).astype(np.float32)
     assert estimate_points_per_line(np.tile(line, 20)[:n_shots]).points_per_line == m
@@ -57,7 +57,7 @@ def test_a_hundred_ranges_are_enough(n_shots, m):
 
 @pytest.mark.slow
 @pytest.mark.data
-@pytest.mark.parametrize(("number", "m"), [(1, 229), (2, 226), (3, 240)])
+@pytest.mark.parametrize("number, m", [(1, 229), (2, 226), (3, 240)])
 def test_oakland(real_data, number, m):
     with gzip.open(real_data / "oakland" / f"oakland_{number}.csv.gz", "rt") as handle:
         ranges = np.array(
@@ -165,7 +165,7 @@ def misread_street() -> F32:
 
 
 @pytest.mark.parametrize(
-    ("stored", "scale", "header", "options"),
+    "stored, scale, header, options",
     [
         ("<f4", 1, 0, ""),
         (">f4", 1, 0, "--set layout.endian=big"),

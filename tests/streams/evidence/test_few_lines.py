@@ -12,7 +12,7 @@ from prc_cli.streams.evidence.watch import watched
 
 
 @pytest.mark.parametrize(
-    ("n_lines", "n_shots", "verdict"),
+    "n_lines, n_shots, verdict",
     [
         (1, 55_313, Verdict.AGAINST),
         (1, 2_000, Verdict.DOUBTFUL),
@@ -33,7 +33,7 @@ class OneBlock:
         return [ScanBlock(0, np.full((10, 500), 5.0, np.float32), is_last=True)]
 
 
-@pytest.mark.parametrize(("inputs", "is_told"), [({}, True), ({"first": "10lines"}, False)])
+@pytest.mark.parametrize("inputs, is_told", [({}, True), ({"first": "10lines"}, False)])
 def test_a_window_may_be_short(inputs, is_told):
     stream = watched(OneBlock(), InputConfig(**inputs))
     assert len(list(stream.blocks())) == 1

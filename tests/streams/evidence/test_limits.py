@@ -60,7 +60,7 @@ def answer_of(finding: Finding | None) -> tuple[Verdict, str, str]:
 
 
 @pytest.mark.parametrize(
-    ("shot", "ratio", "verdict"),
+    "shot, ratio, verdict",
     [
         (0.58, "0.29 times ", FINE),
         (0.6, "0.3 times ", DOUBTFUL),
@@ -103,7 +103,7 @@ CHECK_M = "; check -M and --lines, and whether lines and columns are exchanged"
 
 
 @pytest.mark.parametrize(
-    ("line", "ratio", "verdict"),
+    "line, ratio, verdict",
     [
         (0.02, "0.01", FINE),
         (0.238, "0.12", FINE),
@@ -129,7 +129,7 @@ def test_lines_that_are_alike(
 
 
 @pytest.mark.parametrize(
-    ("here", "there", "verdict"),
+    "here, there, verdict",
     [
         (0.6, 0.58, FINE),
         (0.63, 0.6, DOUBTFUL),
@@ -163,7 +163,7 @@ ORDER = "lines far apart differ {} times as much as neighbouring lines, expected
 
 
 @pytest.mark.parametrize(
-    ("far", "ratio", "verdict"),
+    "far, ratio, verdict",
     [
         (0.4802, "1.6", FINE),
         (0.4798, "1.6", DOUBTFUL),
@@ -183,7 +183,7 @@ def test_line_order(far, ratio, verdict):
 
 
 @pytest.mark.parametrize(
-    ("roughness", "far", "n_lines", "name", "verdict"),
+    "roughness, far, n_lines, name, verdict",
     [
         (0.0201, 0.3, 200, "standing", DOUBTFUL),
         (0.0201, 0.3, 199, "standing", FINE),
@@ -217,7 +217,7 @@ def counted(ranges: ArrayLike = (), **more: Any) -> Seen:
 
 
 @pytest.mark.parametrize(
-    ("n", "verdict", "share"),
+    "n, verdict, share",
     [
         (0, FINE, "0.0%"),
         (10, FINE, "1.0%"),
@@ -243,7 +243,7 @@ def test_lost_and_meeting_records(n, verdict, share):
 
 
 @pytest.mark.parametrize(
-    ("n_shots", "n_missing", "verdict", "share"),
+    "n_shots, n_missing, verdict, share",
     [
         (100, 0, FINE, "100.00%"),
         (100, 98, FINE, "2.00%"),
@@ -267,7 +267,7 @@ def test_returns(
 
 
 @pytest.mark.parametrize(
-    ("n", "usual_m", "verdict"),
+    "n, usual_m, verdict",
     [(10, 20.0, FINE), (11, 20.0, DOUBTFUL), (50, 50.0, FINE), (50, 49.9, DOUBTFUL)],
 )
 def test_the_largest_range_as_a_code(n, usual_m, verdict):
@@ -325,7 +325,7 @@ def guesses(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("off_deg", "verdict"),
+    "off_deg, verdict",
     [
         (10.9, FINE),
         (-10.9, FINE),
@@ -355,7 +355,7 @@ def test_down_is_judged_by_the_angle(guesses, off_deg, verdict):
 
 
 @pytest.mark.parametrize(
-    ("factor", "off", "verdict"),
+    "factor, off, verdict",
     [
         (1.0, 0.005, FINE),
         (1.079, 0.005, FINE),
@@ -399,7 +399,7 @@ def test_angle_step(
 
 
 @pytest.mark.parametrize(
-    ("depth_m", "verdict"),
+    "depth_m, verdict",
     [
         (0.099, AGAINST),
         (0.1, DOUBTFUL),

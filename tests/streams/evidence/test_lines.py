@@ -111,7 +111,7 @@ def standing(ranges: F32) -> F32:
 
 
 @pytest.mark.parametrize(
-    ("misread", "check", "words"),
+    "misread, check, words",
     [
         (
             lambda ranges: rng().permutation(ranges.ravel()).reshape(-1, M),
@@ -145,7 +145,7 @@ def test_a_misread_scan_is_refused(misread, check, words):
 
 
 @pytest.mark.parametrize(
-    ("odd", "check"),
+    "odd, check",
     [
         (standing, "standing"),
         (lambda ranges: lost(ranges, 0.1), "dropouts"),

@@ -66,9 +66,7 @@ def doubted(findings: dict[str, Finding]) -> set[str]:
 
 
 @pytest.mark.parametrize("preset", ["fused", "street-scan"])
-@pytest.mark.parametrize(
-    ("columns", "is_fine"), [((0, 20), True), ((0, 0), False), ((60, 100), False)]
-)
+@pytest.mark.parametrize("columns, is_fine", [((0, 20), True), ((0, 0), False), ((60, 100), False)])
 def test_a_scanner_that_sees_nothing_below_it(columns, is_fine, preset):
     """Of all around, a tenth must be ground that is lower than the scanner."""
     range_m = np.full((64, 100), 8.0, np.float32)
@@ -79,7 +77,7 @@ def test_a_scanner_that_sees_nothing_below_it(columns, is_fine, preset):
 
 
 @pytest.mark.parametrize(
-    ("preset", "share", "verdict"),
+    "preset, share, verdict",
     [
         ("urban", 0.4, Verdict.FINE),
         ("urban", 0.6, Verdict.DOUBTFUL),
@@ -103,7 +101,7 @@ def test_noise_of_every_method(preset, share, verdict):
 
 
 @pytest.mark.parametrize("preset", ["fused", "fused-forest", "street-scan"])
-@pytest.mark.parametrize(("lines", "is_fine"), [((200, 215), True), ((200, 330), False)])
+@pytest.mark.parametrize("lines, is_fine", [((200, 215), True), ((200, 330), False)])
 def test_ground_that_vanishes(preset, lines, is_fine):
     range_m, labels = street(512)
     rows = labels[slice(*lines)]
@@ -193,7 +191,7 @@ def in_sunlight(range_m: F32, labels: U8) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "check", "verdict", "measured"),
+    "spoil, check, verdict, measured",
     [
         (without_class, "noise-share", Verdict.DOUBTFUL, "53 % of the returns have no class"),
         (in_a_room, "indoors", Verdict.DOUBTFUL, "0 % of the returns are farther than 6 m"),

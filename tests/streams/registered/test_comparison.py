@@ -82,7 +82,7 @@ def test_orientations_give_the_lever_arm_on_the_axes_of_the_vehicle():
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    "change, words",
     [
         (lambda drive: replace(drive, xyz_m=drive.xyz_m[:, [1, 0, 2]]), "x and y are swapped"),
         (lambda drive: replace(drive, xyz_m=drive.xyz_m / 0.3048), "unit is feet"),

@@ -85,7 +85,7 @@ SOUND = PathFigures(
 
 
 @pytest.mark.parametrize(
-    ("name", "values", "problem"),
+    "name, values, problem",
     [
         ("residual_m", (0.03, 0.031, 0.16), "m off their beams"),
         ("share_on_beam", (0.81, 0.79, 0.39), "are on no beam"),
