@@ -1,7 +1,5 @@
 """An input is resolved once: file, parts, format, layout, and why it cannot be read."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,6 @@ from prc_cli.config import load_config, resolve
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.outputs import stream_suffix
 
 LAYOUT = """
 [input]
@@ -30,20 +27,6 @@ def test_nothing_is_refused_before_the_check(tmp_path):
     for ask in (scan.check, scan.records, lambda: scan.images(InputConfig())):
         with pytest.raises(InputError, match="no such file"):
             ask()
-
-
-@pytest.mark.parametrize(
-    "name, data, message",
-    [
-        ("a.las", b"", "the file is empty"),
-        ("a.doc", b"x", "unknown suffix '.doc'"),
-        ("a", b"x", "no suffix"),
-    ],
-)
-def test_an_input_that_cannot_be_read_says_why(tmp_path, name, data, message):
-    (tmp_path / name).write_bytes(data)
-    with pytest.raises(InputError, match=message):
-        Input.of(tmp_path / name).check()
 
 
 def test_a_bag_of_several_files_is_its_metadata(tmp_path):
@@ -81,38 +64,6 @@ def test_the_layout_beside_a_dump_is_the_lowest_layer(tmp_path):
     with pytest.raises(ConfigError, match=r"a\.bin\.toml.*not valid TOML"):
         beside.write_text("[layout")
         resolve(dump)
-
-
-@pytest.mark.parametrize(
-    "name, words",
-    [
-        ("a.rxp", ("RIEGL", "RiSCAN PRO")),
-        ("a.rdbx", ("RIEGL",)),
-        ("a.zfs", ("Zoller+Fröhlich", "LaserControl", "E57")),
-        ("a.fls", ("FARO", "SCENE", "E57")),
-        ("a.LGS", ("Leica", "E57")),
-        ("a.mat", ("MATLAB", "numpy.savez('a.npz'")),
-        ("a b.feather", ("csv.write_csv(feather.read_table('a b.feather'), 'a b.csv')",)),
-        ("scan000.3d", ("3DTK", "$1/100", "scan000.3d > scan000.csv")),
-        ("a.xlsx", ("save the sheet as CSV",)),
-        ("a b.zip", ("unzip", "'")),
-        ("a.lvx2", ("Livox", "does not support")),
-        ("a.sbet", ("--range trajectory:",)),
-        ("a.osf", ("ouster-cli source",)),
-        ("a.foo", ("rename the file or convert it",)),
-    ],
-)
-def test_the_maker_and_the_export_are_named(tmp_path, name, words):
-    path = tmp_path / name
-    path.write_bytes(b"1234")
-    with pytest.raises(InputError) as caught:
-        Input.of(path).check()
-    assert all(word in caught.value.hint for word in words)
-
-
-def test_an_output_that_prc_no_longer_writes_has_a_hint():
-    with pytest.raises(ConfigError, match=r"writes no E57: write \.laz for other programs"):
-        stream_suffix(Path("station.e57"))
 
 
 def test_a_copy_that_never_ended_is_refused(tmp_path):

@@ -3,67 +3,18 @@
 import math
 import tomllib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from prc_cli.config import resolve
-from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ReadTally
-from prc_cli.formats.frame import FRAME_FIELDS, frame_fields
-from prc_cli.formats.options import Layout, LayoutField, decode, record_dtype
+from prc_cli.formats.options import Layout, LayoutField, decode
 from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.raw_binary.read import RawBinarySource
 from prc_cli.formats.records import Source
 from prc_cli.formats.text.read import TextSource
-from tests.clouds import seen
-
-
-def layout(*fields: dict[str, Any], **keys: Any) -> Layout:
-    return Layout(fields=tuple(LayoutField(**field) for field in fields), **keys)
-
-
-@pytest.mark.parametrize(
-    "config, message",
-    [
-        (Layout(), "layout.fields: none given, expected at least one field"),
-        (
-            layout({"name": "range", "type": "f8"}, record_bytes=7),
-            (
-                "layout.record_bytes: found 7, but the fields take 8 bytes; leave it out or "
-                "give 8 or more"
-            ),
-        ),
-        (layout({"name": "range", "unit": "deg"}), "field 'range': found unit 'deg', expected m"),
-        (
-            layout({"name": "angle", "unit": "m"}),
-            "field 'angle': found unit 'm', expected deg or rad",
-        ),
-        (
-            layout({"name": "range", "type": "u2", "missing": -1}),
-            (
-                "field 'range': found missing = -1, which u2 cannot hold; give the value as it "
-                "is stored"
-            ),
-        ),
-        (
-            layout({"name": "range", "type": "i4", "missing": 0.5}),
-            "missing = 0.5, which i4 cannot hold",
-        ),
-        (
-            layout({"name": "range", "type": "f4", "missing": 1e39}),
-            "missing = 1e+39, which f4 cannot hold",
-        ),
-    ],
-)
-def test_layouts_that_contradict_themselves(config, message):
-    with pytest.raises(ConfigError) as caught:
-        record_dtype(config)
-    assert message in str(caught.value)
-    assert caught.value.exit_code == 2
 
 
 @given(
@@ -137,35 +88,3 @@ def test_every_reason_is_counted_once():
     ranges, tally = clean_ranges(stored, min_range=1.0, max_range=100.0)
     np.testing.assert_array_equal(np.flatnonzero(~np.isnan(ranges)), [8, 9])
     assert tally == ReadTally(n_not_finite=2, n_not_positive=3, n_beyond=3)
-
-
-def _frame(n_fields: int) -> np.ndarray:
-    """Points of 16 rings of 400 shots, ring after ring."""
-    azimuth = np.tile(np.linspace(-np.pi, np.pi, 400, endpoint=False), 16)
-    ring = np.repeat(np.arange(16), 400)
-    elevation = np.deg2rad(2.0 - 1.7 * ring)
-    range_m = np.random.default_rng(2).uniform(5, 6, len(ring))
-    columns = [*seen(range_m, azimuth, elevation).T, 0.1 * ring, ring, azimuth]
-    return np.stack(columns[:n_fields], axis=1).astype("<f4")
-
-
-@pytest.mark.parametrize("n_fields", [4, 5, 6])
-def test_frames_of_the_usual_layouts_are_known(tmp_path, n_fields):
-    path = tmp_path / "a.pcd.bin"
-    frame = _frame(n_fields)
-    frame.tofile(path)
-    assert frame_fields(path) == FRAME_FIELDS[:n_fields]
-    frame[::50, :3] = np.nan
-    frame.tofile(path)
-    assert frame_fields(path) == FRAME_FIELDS[:n_fields]
-    fields = resolve(path)[1].config.layout
-    assert fields is not None
-    assert len(fields.fields) == n_fields
-
-
-def test_a_frame_that_is_cut_to_a_picture_is_one(tmp_path):
-    frame = _frame(4)
-    frame[np.abs(np.arctan2(frame[:, 1], frame[:, 0])) < np.pi / 4].tofile(tmp_path / "a.bin")
-    assert frame_fields(tmp_path / "a.bin") == FRAME_FIELDS[:4]
-    np.random.default_rng(1).permutation(frame).tofile(tmp_path / "b.bin")
-    assert frame_fields(tmp_path / "b.bin") is None

@@ -121,12 +121,23 @@ def _write(path: str, text: str) -> None:
     Path(path).write_bytes(text.encode().decode("unicode_escape").encode())
 
 
+def _edit(path: str, old: str, new: str) -> None:
+    """Replace the first ``old`` of a file, whose bytes may be written ``\\xff``."""
+    before, after = (
+        text.encode().decode("unicode_escape").encode("latin-1") for text in (old, new)
+    )
+    data = Path(path).read_bytes()
+    assert before in data, f"{path} does not hold {old}"
+    Path(path).write_bytes(data.replace(before, after, 1))
+
+
 STEPS: dict[str, Callable[..., object]] = {
     "@make": lambda: make(Path.cwd()),
     "@cp": _copy,
     "@cut": lambda path, n: os.truncate(path, int(n)),
     "@half": lambda path: os.truncate(path, Path(path).stat().st_size // 2),
     "@poke": _poke,
+    "@edit": _edit,
     "@write": _write,
     "@rm": lambda path: Path(path).unlink(),
     "@py": lambda code: exec(code, {"np": np, "prc_cli": __import__("prc_cli"), "Path": Path}),
