@@ -121,14 +121,14 @@ def _write(path: str, text: str) -> None:
     Path(path).write_bytes(text.encode().decode("unicode_escape").encode())
 
 
-def _edit(path: str, old: str, new: str) -> None:
-    """Replace the first ``old`` of a file, whose bytes may be written ``\\xff``."""
+def _edit(source: str, target: str, old: str, new: str) -> None:
+    """Copy a file with the first ``old`` replaced; bytes may be written ``\\xff``."""
     before, after = (
         text.encode().decode("unicode_escape").encode("latin-1") for text in (old, new)
     )
-    data = Path(path).read_bytes()
-    assert before in data, f"{path} does not hold {old}"
-    Path(path).write_bytes(data.replace(before, after, 1))
+    data = Path(source).read_bytes()
+    assert before in data, f"{source} does not hold {old}"
+    Path(target).write_bytes(data.replace(before, after, 1))
 
 
 STEPS: dict[str, Callable[..., object]] = {

@@ -132,6 +132,13 @@ def evlr_bytes(user: bytes, number: int, payload: bytes) -> bytes:
     return struct.pack("<H16sHQ32s", 7, user, number, len(payload), b"kept too") + payload
 
 
+VLRS = (
+    vlr_bytes(b"LASF_Projection", 2112, b'PROJCS["x"]\0'),
+    vlr_bytes(b"nobody\0dirt", 77, bytes(range(256))),
+)
+EVLRS = (evlr_bytes(b"nobody", 5, b"abc" * 50), evlr_bytes(b"LASF_Spec", 65535, bytes(1000)))
+
+
 EXTRA = (
     laspy.ExtraBytesParams("amplitude", "f4", description="echo [dB]"),
     laspy.ExtraBytesParams("pair", "2u2"),
@@ -204,3 +211,67 @@ def make_las(
         head[235:247] = struct.pack("<QI", len(head) + len(body), len(evlrs))
     path.write_bytes(bytes(head) + body + b"".join(evlrs))
     return parse(path)
+
+
+def compressed(
+    source: Path,
+    output: Path,
+    chunk_points: int,
+    *,
+    form: int,
+    extra: int,
+) -> Parsed:
+    """Write a LAS file again as LAZ with chunks of any length."""
+    plain = parse(source)
+    payload = bytearray(lazrs.LazVlr.new_for_compression(form, extra).record_data())
+    struct.pack_into("<I", payload, 12, chunk_points)
+    vlr = struct.pack("<H16sHH32s", 0, b"laszip encoded", 22204, len(payload), b"") + bytes(payload)
+    head = bytearray(plain.header)
+    start = field(plain.data, 96, "I") + len(vlr)
+    head[96:104] = struct.pack("<II", start, len(plain.vlrs) + 1)
+    head[104] |= 0x80
+    points = io.BytesIO(bytes(start))
+    points.seek(start)
+    compressor = lazrs.LasZipCompressor(points, lazrs.LazVlr(bytes(payload)))
+    compressor.compress_many(plain.records.reshape(-1))
+    compressor.done()
+    body = b"".join([*plain.vlrs, vlr]) + plain.user_bytes + points.getvalue()[start:]
+    if plain.tail:
+        head[235:243] = struct.pack("<Q", len(head) + len(body))
+    output.write_bytes(bytes(head) + body + plain.tail)
+    return parse(output)
+
+
+def make_laz(
+    path: Path,
+    form: int,
+    n: int,
+    chunk_points: int,
+    seed: int = 0,
+) -> Parsed:
+    """Records of random bits, hence all scanner channels and return numbers, with extra bytes and
+    EVLRs."""
+    source = path.with_suffix(".las")
+    make_las(source, form, n=n, seed=seed, evlrs=EVLRS, user_bytes=b"between", raw_points=True)
+    return compressed(source, path, chunk_points, form=form, extra=8)
+
+
+def random_laz(path: Path, rng: np.random.Generator) -> None:
+    """Any format, chunk size and records.
+
+    Rare return numbers such as 0 of 0, runs of channels and of classes.
+    """
+    form = int(rng.choice([6, 7, 8]))
+    n = int(rng.choice([1, 2, 49, 50, 51, 300]))
+    extra = EXTRA if rng.integers(2) else ()
+    evlrs = EVLRS[: rng.integers(2)]
+    plain = path.with_suffix(".las")
+    made = make_las(plain, form, n=n, seed=n, extra=extra, evlrs=evlrs, raw_points=True)
+    made.records[:, 14] = rng.choice([0x11, 0x21, 0x22, 0x00, 0x01, 0x10, 0x12, 0xFF], n)
+    made.records[:, 15] = np.repeat(rng.integers(0, 4, n) << 4, 10)[:n]
+    made.records[:, 16] = np.repeat(rng.integers(0, 256, n), 5)[:n]
+    start = field(made.data, 96, "I")
+    stop = start + made.records.size
+    plain.write_bytes(made.data[:start] + made.records.tobytes() + made.data[stop:])
+    chunk_points = int(rng.choice([1, 3, 50, 1000, 1 << 20]))
+    compressed(plain, path, chunk_points, form=form, extra=8 if extra else 0)

@@ -1,11 +1,9 @@
 """New classes in LAZ chunks: the same bytes as from compressing everything again."""
 
-import io
 import os
 import struct
 from pathlib import Path
 
-import lazrs
 import numpy as np
 import pytest
 
@@ -18,62 +16,17 @@ from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.las.splice import Splice, contexts_of, find_chunks, records_of
 from tests.formats.common import URBAN, random_labels, record_blocks, run_record, write, writer
 from tests.formats.las.lasbytes import (
-    EXTRA,
     Parsed,
     Raw,
     classes,
-    evlr_bytes,
     field,
     make_las,
+    make_laz,
     n_points,
     parse,
+    random_laz,
     same_but_class,
 )
-
-EVLRS = (evlr_bytes(b"nobody", 5, b"abc" * 50), evlr_bytes(b"LASF_Spec", 65535, bytes(1000)))
-
-
-def compressed(
-    source: Path,
-    output: Path,
-    chunk_points: int,
-    *,
-    form: int,
-    extra: int,
-) -> Parsed:
-    """Write a LAS file again as LAZ with chunks of any length."""
-    plain = parse(source)
-    payload = bytearray(lazrs.LazVlr.new_for_compression(form, extra).record_data())
-    struct.pack_into("<I", payload, 12, chunk_points)
-    vlr = struct.pack("<H16sHH32s", 0, b"laszip encoded", 22204, len(payload), b"") + bytes(payload)
-    head = bytearray(plain.header)
-    start = field(plain.data, 96, "I") + len(vlr)
-    head[96:104] = struct.pack("<II", start, len(plain.vlrs) + 1)
-    head[104] |= 0x80
-    points = io.BytesIO(bytes(start))
-    points.seek(start)
-    compressor = lazrs.LasZipCompressor(points, lazrs.LazVlr(bytes(payload)))
-    compressor.compress_many(plain.records.reshape(-1))
-    compressor.done()
-    body = b"".join([*plain.vlrs, vlr]) + plain.user_bytes + points.getvalue()[start:]
-    if plain.tail:
-        head[235:243] = struct.pack("<Q", len(head) + len(body))
-    output.write_bytes(bytes(head) + body + plain.tail)
-    return parse(output)
-
-
-def make_laz(
-    path: Path,
-    form: int,
-    n: int,
-    chunk_points: int,
-    seed: int = 0,
-) -> Parsed:
-    """Records of random bits, hence all scanner channels and return numbers, with extra bytes and
-    EVLRs."""
-    source = path.with_suffix(".las")
-    make_las(source, form, n=n, seed=seed, evlrs=EVLRS, user_bytes=b"between", raw_points=True)
-    return compressed(source, path, chunk_points, form=form, extra=8)
 
 
 def chunks_of(path: Path) -> Splice | None:
@@ -145,27 +98,6 @@ def test_an_input_that_changes_between_the_readings_is_refused(tmp_path, suffix)
         os.utime(source, ns=(0, 1_700_000_000_000_000_000))
         opened.finish(run_record())
     assert list(tmp_path.glob(f"*out{suffix}*")) == []
-
-
-def random_laz(path: Path, rng: np.random.Generator) -> None:
-    """Any format, chunk size and records.
-
-    Rare return numbers such as 0 of 0, runs of channels and of classes.
-    """
-    form = int(rng.choice([6, 7, 8]))
-    n = int(rng.choice([1, 2, 49, 50, 51, 300]))
-    extra = EXTRA if rng.integers(2) else ()
-    evlrs = EVLRS[: rng.integers(2)]
-    plain = path.with_suffix(".las")
-    made = make_las(plain, form, n=n, seed=n, extra=extra, evlrs=evlrs, raw_points=True)
-    made.records[:, 14] = rng.choice([0x11, 0x21, 0x22, 0x00, 0x01, 0x10, 0x12, 0xFF], n)
-    made.records[:, 15] = np.repeat(rng.integers(0, 4, n) << 4, 10)[:n]
-    made.records[:, 16] = np.repeat(rng.integers(0, 256, n), 5)[:n]
-    start = field(made.data, 96, "I")
-    stop = start + made.records.size
-    plain.write_bytes(made.data[:start] + made.records.tobytes() + made.data[stop:])
-    chunk_points = int(rng.choice([1, 3, 50, 1000, 1 << 20]))
-    compressed(plain, path, chunk_points, form=form, extra=8 if extra else 0)
 
 
 def classify_again(
