@@ -186,6 +186,12 @@ def _write_scan(image: Any, data: Any, scan: Scan) -> None:
     writer.close()
 
 
+def write_odd_e57(name: str, **changed: Array | None) -> None:
+    """Write a scan of 3 x 3 points with other fields, or without those that are None."""
+    fields = {**e57_fields(grid_points(3, 3, missing=0)), **changed}
+    write_e57(Path(f"{name}.e57"), [Scan({k: v for k, v in fields.items() if v is not None})])
+
+
 _TABLE = []
 for _byte in range(256):
     _crc = _byte

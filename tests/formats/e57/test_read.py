@@ -1,6 +1,5 @@
 """E57 files."""
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,6 @@ from tests.formats.organised_files import (
     Scan,
     e57_fields,
     grid_points,
-    replace_xml,
     write_e57,
 )
 from tests.formats.test_ptx import equal, expected, scans_of
@@ -111,51 +109,6 @@ def test_chunks_change_nothing(tmp_path, monkeypatch, shots, chunk):
         assert equal(block.xyz_m, np.asarray(undivided.xyz_m))
         assert equal(block.record, np.asarray(undivided.record))
         assert block.tally == undivided.tally
-
-
-ROW = "rowIndex"
-COLUMN = "columnIndex"
-
-
-@pytest.mark.parametrize(
-    "fields, message",
-    [
-        ({ROW: None, COLUMN: None}, "no rowIndex and no columnIndex"),
-        ({COLUMN: None}, "no columnIndex: the points are not organised"),
-        ({"cartesianX": None}, "expected cartesianX"),
-        ({ROW: np.arange(9) / 2}, "rowIndex from 0 to 4.*whole numbers"),
-        ({ROW: np.full(9, np.nan)}, "rowIndex from nan.*whole numbers"),
-        ({ROW: np.arange(9) * 10**14}, "rowIndex from 0 to 8.*at most 10000000"),
-        ({COLUMN: np.arange(9) * 10**8}, "columnIndex from 0 to 8.*at most"),
-        (
-            {ROW: np.arange(9) * 10**6, COLUMN: np.arange(9) * 10**6},
-            "found 9 points in 8000001 columns x 8000001 rows.*denser",
-        ),
-        ({ROW: np.zeros(9, int)}, "found 150 points in column 0.*1 rows"),
-    ],
-)
-def test_scans_that_are_no_images_are_refused(tmp_path, fields, message):
-    changed = {**e57_fields(grid_points(3, 3, missing=0)), **fields}
-    n_times = 50 if "150 points" in message else 1
-    kept = {
-        name: np.repeat(values, n_times)[:430]
-        for name, values in changed.items()
-        if values is not None
-    }
-    assert re.search(message, refused(write_e57(tmp_path / "a.e57", [Scan(kept)])))
-
-
-def test_a_file_without_scans_says_so(tmp_path):
-    path = write_e57(tmp_path / "a.e57", [])
-    assert "no scans" in refused(path)
-    path.write_bytes(replace_xml(path.read_bytes(), b"data3D", b"others"))
-    assert "no scans" in refused(path)
-
-
-@pytest.mark.parametrize("length", [0.0, 1e200])
-def test_what_is_no_rotation_is_refused(tmp_path, length):
-    scan = Scan(e57_fields(grid_points(3, 3)), rotation=(length, 0, 0, 0))
-    assert "expected a quaternion of length 1" in refused(write_e57(tmp_path / "a.e57", [scan]))
 
 
 def test_a_file_that_changes_while_it_is_read_is_an_error(tmp_path):

@@ -115,6 +115,8 @@ def classify_again(
             for _ in opened.chunks(("x",)):
                 pass
             contexts = opened.laz_contexts
+            assert contexts is not None
+            assert contexts.n_seen == len(labels)
         write(output, source, record_blocks(labels), laz_contexts=contexts)
     except PrcError:
         return None

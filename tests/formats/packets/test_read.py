@@ -4,8 +4,6 @@ Every cell as independent decoders have it, whatever the capture.
 """
 
 import json
-import struct
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +12,6 @@ import pytest
 import velodyne_decoder
 
 from prc_cli.core.blocks import join
-from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.packets import spinning
@@ -27,40 +24,9 @@ def read(path: Path, **changes: Any) -> tuple[PacketStream, ScanBlock]:
     return stream, join(list(stream.blocks()))
 
 
-def same(a: ScanBlock, b: ScanBlock, *, times: bool = True) -> None:
-    for name in ("range_m", "xyz_m", "intensity", "record", *(("time_s",) if times else ())):
+def same(a: ScanBlock, b: ScanBlock) -> None:
+    for name in ("range_m", "xyz_m", "intensity", "record", "time_s"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
-
-
-def test_captures_of_every_kind_are_the_same(tmp_path):
-    packets = made.vlp16()
-    frames = made.framed(packets)
-    _, plain = read(made.write_pcap(tmp_path / "a.pcap", frames))
-    stream, twice = read(made.write_pcap(tmp_path / "twice.pcap", frames + frames))
-    np.testing.assert_array_equal(twice.range_m, plain.range_m)
-    assert twice.tally.n_records == 2 * plain.tally.n_records
-    assert stream.info.facts.repeated
-
-    def sent(frame: Callable[[bytes], bytes]) -> list[tuple[float, bytes]]:
-        """The packets in other frames."""
-        return [(frames[k][0], frame(made.udp(packet))) for k, packet in enumerate(packets)]
-
-    tagged = sent(lambda body: made.ethernet(made.ip4(body), vlan=True))
-    six = sent(lambda body: made.ethernet(made.ip6(body)))
-    for again in (
-        made.write_pcap(tmp_path / "b.pcap", frames, order=">"),
-        made.write_pcap(tmp_path / "c.pcap", tagged),
-        made.write_pcap(tmp_path / "d.pcap", six),
-        made.write_pcap(tmp_path / "raw.pcap", sent(made.ip4), link=101),
-    ):
-        same(plain, read(again)[1])
-    # times are finer there
-    for again in (
-        made.write_pcap(tmp_path / "e.pcap", frames, nano=True),
-        made.write_pcapng(tmp_path / "f.pcapng", frames),
-        made.write_pcapng(tmp_path / "g.pcapng", frames, order=">"),
-    ):
-        same(plain, read(again)[1], times=False)
 
 
 def test_fragments_are_put_together(tmp_path, monkeypatch):
@@ -85,15 +51,6 @@ def test_fragments_are_put_together(tmp_path, monkeypatch):
     monkeypatch.setattr("prc_cli.formats.packets.capture.MAX_PENDING", len(packets))
     mixed = [frame for k in range(3) for frame in frames[k::3]]
     same(plain, read(made.write_pcap(tmp_path / "d.pcap", mixed))[1])
-
-
-def test_packets_that_overtook_each_other_are_put_in_order(tmp_path):
-    frames = made.framed(made.vlp16())
-    _, whole = read(made.write_pcap(tmp_path / "a.pcap", frames))
-    swapped = [*frames[:5], frames[6], frames[5], *frames[7:]]
-    _, block = read(made.write_pcap(tmp_path / "b.pcap", swapped))
-    np.testing.assert_array_equal(block.range_m, whole.range_m)
-    assert block.tally.n_unplaced == 0
 
 
 @pytest.mark.parametrize(
@@ -140,83 +97,6 @@ def test_ouster_columns_outside_the_window_are_not_read(tmp_path, first, last, e
         wanted[frame * every :][: len(number)] = 1000 * (frame + 1) + number + 600
     assert (block.n_lines, block.tally.n_unplaced) == (every + len(number) + 2, 0)
     np.testing.assert_allclose(block.range_m[:, 0], 1e-3 * wanted, rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    "changes, message",
-    [
-        ({"pixels_per_column": 5}, "beam_azimuth_angles: found list of 4, expected 5 numbers"),
-        (
-            {"pixel_shift_by_row": [0, 10**400, 0, 0]},
-            "pixel_shift_by_row: found 10000.*, expected 4 numbers",
-        ),
-        ({"udp_profile_lidar": ["NEW"]}, "udp_profile_lidar: found .'NEW'., expected one of"),
-        ({"udp_profile_lidar": "NEW"}, "udp_profile_lidar: found NEW, expected one of LEGACY"),
-        ({"columns_per_packet": 8}, "no packets of a known scanner: 16 of 1024 bytes to port 7502"),
-        ({"lidar_origin_to_beam_origin_mm": 1000}, "found 1000, expected millimetres"),
-        ({"columns_per_frame": "x"}, "found x, expected a whole number from 1 to 4096"),
-    ],
-)
-def test_metadata_that_do_not_fit_are_refused(tmp_path, changes, message):
-    table, packets = made.ouster()
-    for part in (table, table["data_format"]):
-        part.update({name: value for name, value in changes.items() if name in part})
-    path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets, 7502))
-    path.with_suffix(".json").write_text(json.dumps(table))
-    with pytest.raises(InputError, match=message):
-        PacketStream(path, InputConfig())
-
-
-def test_metadata_that_are_not_there_are_asked_for(tmp_path):
-    path = made.write_pcap(tmp_path / "a.pcap", made.framed(made.ouster()[1], 7502))
-    with pytest.raises(InputError, match="metadata") as caught:
-        PacketStream(path, InputConfig())
-    assert "give --set input.metadata=FILE.json" in f"{caught.value} {caught.value.hint}"
-    with pytest.raises(InputError, match="cannot be read as JSON"):
-        PacketStream(path, InputConfig(metadata=str(tmp_path / "no.json")))
-
-
-XT16 = made.hesai("XT16")[0][0]
-
-
-@pytest.mark.parametrize(
-    "packets, message",
-    [
-        (
-            made.vlp16(model=0x23),
-            r"model 0x23 \(VLP-32A or VLP-32B\), expected Velodyne HDL-32E, Velodyne VLP-16",
-        ),
-        (
-            [XT16[:2] + b"\4\3" + XT16[4:]],
-            r"Hesai, protocol 4.3, 16 channels in 8 blocks, 568 bytes\), expected",
-        ),
-        (
-            made.velodyne(3, 0x40),
-            r"HDL-64E need the calibration of the unit; give --set input.metadata=FILE.yml",
-        ),
-        (made.hesai("XT32M", mode=0x3D)[0], r"three returns a shot \(mode 0x3d\), expected one"),
-        (made.vlp16(5) + made.vlp16(5, mode=0x38), "return mode 0x38 after 0x22 and 0x37"),
-    ],
-)
-def test_packets_that_cannot_be_read_are_named(tmp_path, packets, message):
-    with pytest.raises(InputError, match=message):
-        read(made.write_pcap(tmp_path / "a.pcap", made.framed(packets)))
-
-
-@pytest.mark.parametrize(
-    "data, message",
-    [
-        (b"no capture", "begins with 6e6f2063, expected a capture"),
-        (
-            struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1) + b"\xff" * 100,
-            "found a packet of 4294967295 bytes, expected at most 262144",
-        ),
-    ],
-)
-def test_what_is_no_capture_is_refused(tmp_path, data, message):
-    (tmp_path / "a.pcap").write_bytes(data)
-    with pytest.raises(InputError, match=message):
-        PacketStream(tmp_path / "a.pcap", InputConfig())
 
 
 def compare(
