@@ -2,7 +2,8 @@
 
 Lines are not counted, since they can be made fewer by making them denser. Counted is what a
 reader has to read: tokens (names, numbers, strings, operators) without comments and docstrings,
-and what makes a line dense. ``tests/test_house.py`` holds the totals.
+and what makes a line dense. Python in golden cases counts, too. ``tests/test_house.py`` holds the
+totals.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
+
+from tests.golden.cases import programs
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("prc_cli", "tests", "benchmarks")
@@ -106,6 +109,9 @@ def weigh(folder: Path) -> dict[str, Weight]:
         parts = path.relative_to(folder).parts
         room = rooms.setdefault(parts[0] if len(parts) > 1 else ".", Weight())
         room.add(weigh_text(path.read_text(encoding="utf-8")))
+    if folder == ROOT / "tests":
+        for program in programs():
+            rooms["golden"].add(weigh_text(program))
     return rooms
 
 
@@ -170,7 +176,7 @@ def main(folders: list[str]) -> None:
     columns = ("tokens", "a line", "long", "packed", "once", "tuples", "skips", "riddles")
     print(f"{'room':28s}" + "".join(f"{column:>10s}" for column in columns))
     for name in folders or FOLDERS:
-        folder = Path(name) if folders else ROOT / name
+        folder = Path(name).resolve() if folders else ROOT / name
         rooms = weigh(folder)
         for room, weight in rooms.items():
             print(_row(f"{folder.name}/{room}", weight))

@@ -3,6 +3,7 @@
 Commands are separated by `` . ``. ``STEPS`` lists those that start with ``@``.
 """
 
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -78,6 +79,12 @@ def all_cases() -> dict[str, str]:
     cases += [*_tables(), *_damaged()]
     assert len(dict(cases)) == len(cases)  # type: ignore[arg-type]
     return dict(cases)  # type: ignore[arg-type]
+
+
+def programs() -> list[str]:
+    """Return the Python of the cases, which ``tests/measure.py`` counts like any other."""
+    steps = (shlex.split(step) for case in all_cases().values() for step in case.split(" ; "))
+    return [words[1] for words in steps if words[0] == "@py"]
 
 
 def _table() -> Iterator[str]:
