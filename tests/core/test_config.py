@@ -7,7 +7,6 @@ import pytest
 
 from prc_cli.config import PRESETS, RunConfig, load_config, to_toml
 from prc_cli.core.config import model_in
-from prc_cli.core.errors import ConfigError
 
 
 def test_layers_override_each_other_and_name_their_source(tmp_path):
@@ -21,50 +20,6 @@ def test_layers_override_each_other_and_name_their_source(tmp_path):
     assert loaded.sources["prc.support.zeta_s"] == "preset prc-2019-forest"
     assert loaded.sources["prc.surfaces.gamma"] == "option"
     assert "prc.background.alpha" not in loaded.sources
-
-
-@pytest.mark.parametrize(
-    "table, message",
-    [
-        ({"prc": {"suport": {}}}, "--set prc.suport: unknown key; did you mean 'prc.support'?"),
-        (
-            {"prc": {"support": {"zeta_q": 1.0}}},
-            "--set prc.support.zeta_q: unknown key; did you mean 'prc.support.zeta_",
-        ),
-        ({"input": {"point_per_line": 3}}, "did you mean 'input.points_per_line'?"),
-        ({"prc": {"background": {"alpha": 0.7}}}, "prc.background.alpha: found 0.7, expected:"),
-        ({"input": {"range": "origin:1,2"}}, "origin:X,Y,Z with three numbers"),
-        (
-            {"input": {"max_range": 2.0, "min_range": 2.0}},
-            "max_range (2.0 m) above min_range (2.0 m)",
-        ),
-        ({"layout": {"fields": [{"name": "range", "type": "complex"}]}}, "layout.fields.0.type"),
-        ({"classes": {"ground": 300}}, "classes.ground: found 300"),
-        (
-            {"fused": {"walls": {"roof_m": 5}}},
-            "fused.walls is a constant now; leave it out",
-        ),
-        ({"fused": {"sensor": {"again": False}}}, "it is fused.sensor.again = true"),
-        (
-            {"fused": {"noise": {"sparse_shots": 4}}},
-            "fused.noise.sparse_shots = gone with noise.sparse",
-        ),
-        (
-            {"fused": {"votes": {"near_m": 2, "enabled": True}}},
-            "fused.votes.near_m = 1.5, fused.votes.enabled = true",
-        ),
-        (
-            {"fused": {"forest": {"flat": {"cover_m": 0.2}}}},
-            "it is fused.forest.flat.cover_m = 0.15",
-        ),
-        ({"fused": {"wals": {"roof_m": 5}}}, "--set fused.wals: unknown key"),
-    ],
-)
-def test_wrong_keys_and_values_name_themselves(table, message):
-    with pytest.raises(ConfigError) as caught:
-        load_config(options=table)
-    assert message in str(caught.value)
-    assert caught.value.exit_code == 2
 
 
 @pytest.mark.parametrize("preset", [None, *PRESETS])

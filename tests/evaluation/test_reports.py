@@ -1,7 +1,6 @@
 """Reports as text and HTML."""
 
 import json
-from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -14,10 +13,6 @@ from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.evaluation.reports import (
     as_csv,
     as_dict,
-    as_json,
-    as_markdown,
-    doubts,
-    markdown_table,
 )
 from prc_cli.evaluation.scores import OVERALL_SCORES, Evaluation, Gate, check_gates, scores
 from tests.evaluation import samples
@@ -40,42 +35,6 @@ def test_reports_show_every_score_and_the_page_says_what_it_means():
         assert meaning in page
         assert name in header
         assert name in overall
-
-
-def test_markdown_shows_names_of_users_as_they_are():
-    evaluation = samples.evaluation(predicted="a|b_*c*\n# d.npy", part="a|b <b>")
-    text = as_markdown(evaluation)
-    assert "a\\|b\\_\\*c\\* \\# d.npy" in text
-    assert "a\\|b \\<b\\>" in text
-    table = markdown_table(["a", "sum"], [["long name", "1"], ["b", "20"]])
-    assert table.splitlines() == [
-        "| a         |  sum |",
-        "| --------- | ---: |",
-        "| long name |    1 |",
-        "| b         |   20 |",
-    ]
-    for table in (block.splitlines() for block in text.split("\n\n") if block.startswith("|")):
-        assert len({line.replace("\\|", "").count("|") for line in table}) == 1
-
-
-def test_agreement_of_chance_is_told():
-    evaluation = samples.evaluation()
-    assert doubts(evaluation) == ()
-    rng = np.random.default_rng(4)
-    codes = rng.choice(2, 5000, p=[0.9, 0.1])
-    counts = np.bincount(codes * 2 + rng.permutation(codes), minlength=4).reshape(2, 2)
-    shuffled = replace(
-        evaluation, matrix=ConfusionMatrix(("a", "b"), ("a", "b"), counts), splits={}, intervals={}
-    )
-    (doubt,) = doubts(shuffled)
-    assert "about that of chance" in doubt
-    assert doubt in as_html(shuffled)
-    assert doubt in as_markdown(shuffled)
-    assert json.loads(as_json(shuffled))["doubts"] == [doubt]
-    # a file with one class has no kappa, and few records prove nothing
-    for few_or_alike in ([[5000, 0], [0, 0]], [[5, 5], [5, 5]]):
-        matrix = ConfusionMatrix(("a", "b"), ("a", "b"), np.array(few_or_alike))
-        assert doubts(replace(shuffled, matrix=matrix)) == ()
 
 
 VOID = {"meta", "input", "img", "br", "link"}

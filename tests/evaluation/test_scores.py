@@ -6,19 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from prc_cli.core.errors import ConfigError, GateError, InputError
+from prc_cli.core.errors import InputError
 from prc_cli.evaluation.confusion import ConfusionMatrix, GroupedCounts, accumulate, cells_of
-from prc_cli.evaluation.mapping import ClassMapping, load_mapping
+from prc_cli.evaluation.mapping import ClassMapping
 from prc_cli.evaluation.scores import (
-    Gate,
     block_intervals,
-    check_gates,
     gate_value,
-    parse_gate,
-    refuse_failed,
     scores,
 )
-from tests.evaluation.samples import MATRIX
 
 FOREST = ("noise", "ground", "stem")
 TABLE_II = np.array(
@@ -73,27 +68,6 @@ def test_good_points_called_noise_are_a_share_of_the_reference():
     assert intervals["called_noise.ground"].low < 0.1 < intervals["called_noise.ground"].high
 
 
-@pytest.mark.parametrize(
-    "name, expected",
-    [
-        ("recall.road", "score: found class 'road', expected one of: noise, ground, stem"),
-        (
-            "recal.ground",
-            "score: found score 'recal.ground', "
-            "expected one of: accuracy, balanced_accuracy, kappa",
-        ),
-        ("recall", "recall.CLASS"),
-        ("kappa.ground", "found score 'kappa.ground'"),
-        ("", "found score ''"),
-    ],
-)
-def test_unknown_gates_name_those_there_are(name, expected):
-    matrix_scores = scores(ConfusionMatrix(FOREST, FOREST, TABLE_II))
-    with pytest.raises(ConfigError) as caught:
-        gate_value(matrix_scores, name)
-    assert expected in str(caught.value)
-
-
 MAPPING = ClassMapping(
     ignore=(0,),
     predicted={"noise": (7,), "ground": (2,), "unclassified": (1,)},
@@ -116,50 +90,6 @@ def test_any_cut_gives_the_same_counts(pairs, cut):
     assert np.array_equal(whole.counts, state.counts)
     assert whole.n_ignored == state.n_ignored
     assert whole.n_scored + whole.n_ignored == len(pairs)
-
-
-def test_passed_and_failed():
-    results = check_gates(
-        scores(MATRIX),
-        [Gate("recall.ground", 0.9), Gate("accuracy", 1.0), Gate("recall.stem", 0.0)],
-    )
-    assert [item.passed for item in results] == [
-        True,
-        False,
-        False,
-    ]  # undefined has reached nothing
-    refuse_failed(results[:1])
-    with pytest.raises(GateError) as caught:
-        refuse_failed(results)
-    assert str(caught.value) == (
-        "accuracy: found 0.9869, expected at least 1.0000; "
-        "recall.stem: found undefined (no such records), expected at least 0.0000"
-    )
-    assert caught.value.exit_code == 3
-
-
-@pytest.mark.parametrize(
-    "text", ["recall.ground", "recall.ground=", "recall.ground=x", "accuracy=1.1", "kappa=nan"]
-)
-def test_limits_that_make_no_sense(text):
-    with pytest.raises(ConfigError, match="--fail-under: found"):
-        parse_gate(text, load_mapping("prc"))
-
-
-@pytest.mark.parametrize("score", ["recall", "precision", "f1", "iou", "accuracy"])
-def test_classes_of_one_side_have_no_gate_and_are_not_offered(score):
-    mapping = ClassMapping(
-        unlisted="other",
-        predicted={"ground": (2,), "noise": (7,)},
-        reference={"ground": (2,), "car": (65,)},
-    )
-    for name in ("other", "noise", "car"):
-        with pytest.raises(ConfigError) as caught:
-            parse_gate(f"{score}.{name}=0.5", mapping)
-        message = str(caught.value)
-        assert f"found class {name!r}, which the mapping does not have on both sides" in message
-        assert message.endswith("expected one of: ground")
-    assert parse_gate(f"{score}.ground=0.5", mapping).limit == 0.5
 
 
 ROWS = ("ground", "stem", "other")

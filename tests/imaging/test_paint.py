@@ -8,7 +8,6 @@ import pytest
 
 from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes
-from prc_cli.core.errors import InputError
 from prc_cli.core.types import U8
 from prc_cli.evaluation.scores import scores
 from prc_cli.formats.labels import labelled_records
@@ -181,15 +180,3 @@ def test_labels_are_painted_saved_loaded_and_evaluated(kind, drive, tmp_path):
 def test_the_first_line_says_what_was_labelled(head, n_records, tmp_path):
     (tmp_path / "a.csv").write_text(f"{head}\nrecord,class,class_name\n3,2,ground\n")
     assert labelled_records(tmp_path / "a.csv") == n_records
-
-
-def test_labels_of_another_file_are_refused(tmp_path):
-    np.save(tmp_path / "labels.npy", np.array([2, 2, 6, 6], np.uint8))
-    text = "# labels by hand: a.npy, {} records\nrecord,class,class_name\n1,2,ground\n3,2,ground\n"
-    (tmp_path / "right.csv").write_text(text.format(4))
-    evaluation = evaluate_all([tmp_path / "labels.npy"], [tmp_path / "right.csv"])
-    assert evaluation.match.n_matched == 2
-    assert scores(evaluation.matrix).accuracy == 0.5
-    (tmp_path / "wrong.csv").write_text(text.format(5))
-    with pytest.raises(InputError, match="a file of 5 records, found 4"):
-        evaluate_all([tmp_path / "labels.npy"], [tmp_path / "wrong.csv"])

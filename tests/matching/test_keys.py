@@ -2,7 +2,6 @@
 
 import tracemalloc
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,6 @@ from prc_cli.matching.join import (
     merge_join,
 )
 from prc_cli.matching.keys import MutualKeys, NearestLabel
-from prc_cli.matching.pairs import pair_files
 
 RNG = np.random.default_rng
 
@@ -233,59 +231,6 @@ def test_memory_does_not_grow_with_the_streams():
         return held
 
     assert peak(2_000_000) < 1.2 * peak(400_000)
-
-
-def fill(folder: Path, *names: str) -> Path:
-    folder.mkdir()
-    for name in names:
-        (folder / name).touch()
-    return folder
-
-
-def test_folders_pair_by_name_without_suffix(tmp_path):
-    left = fill(tmp_path / "run", "b.1.npy", "a.npy", "a.npy.prc.json", ".c.npy", "notes.md")
-    right = fill(tmp_path / "reference", "a.csv.gz", "b.1.LABEL", "README")
-    (right / "more.npy").mkdir()
-    assert pair_files(left, right) == (
-        (left / "a.npy", right / "a.csv.gz"),
-        (left / "b.1.npy", right / "b.1.LABEL"),
-    )
-
-
-@pytest.mark.parametrize(
-    "run, reference, message",
-    [
-        (
-            ("a.npy",),
-            ("a.csv", "b.csv"),
-            "reference: 1 file has no partner in .*run: b; give partners",
-        ),
-        (("a.npy", "b.npy"), ("a.csv",), "run: 1 file has no partner in .*reference: b"),
-        (("a.npy", "a.csv"), ("a.las",), "run: a.csv and a.npy have one name"),
-        ((), ("a.las",), "run: no files with class codes in it"),
-        (("a.txt.md",), ("a.las",), "run: no files with class codes in it"),
-    ],
-)
-def test_folders_that_do_not_fit(
-    tmp_path,
-    run,
-    reference,
-    message,
-):
-    left = fill(tmp_path / "run", *run)
-    right = fill(tmp_path / "reference", *reference)
-    with pytest.raises(InputError, match=message):
-        pair_files(left, right)
-
-
-def test_a_file_against_a_folder(tmp_path):
-    folder = fill(tmp_path / "run", "a.npy")
-    with pytest.raises(
-        InputError, match="a.npy: a file against the folder .*run; give two files or two folders"
-    ):
-        pair_files(folder, folder / "a.npy")
-    with pytest.raises(InputError, match="nowhere: no such folder"):
-        pair_files(tmp_path / "nowhere", folder)
 
 
 def cut(columns: Columns, seed: int, most: int = 7) -> Iterator[Columns]:

@@ -1,17 +1,11 @@
 """Scanners: presets, values and bounds; spinning ones: firings as lines, turns as frames, snow."""
 
-import math
-
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.errors import ConfigError, OutputExistsError
 from prc_cli.jobs.simulate import Beside, simulate
-from prc_cli.simulation.scanners import SCANNERS
-from prc_cli.simulation.settings import _with_room_to_stop, load_settings, open_simulation
-from prc_cli.simulation.trajectory import MOTIONS, MotionParams
+from prc_cli.simulation.settings import load_settings, open_simulation
 
 COARSE = {"name": "vlp-32c", "azimuth_step_deg": 3.0, "line_hz": 1200.0}
 """120 firings a turn, ten turns a second."""
@@ -63,50 +57,3 @@ def test_snow_is_noise_near_the_scanner():
     same = snowy_labels != Label.NOISE
     assert np.array_equal(snowy[same], clear[same], equal_nan=True)
     assert np.array_equal(snowy_labels[same], clear_labels[same])
-
-
-def test_what_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="rising elevations of a spinning scanner"):
-        load_settings("street", options=options(scanner={**COARSE, "elevations_deg": [1.0, 0.0]}))
-    with pytest.raises(ConfigError, match="a scanner that does not spin"):
-        simulate(
-            "street",
-            tmp_path / "a.npz",
-            load_settings("street", options={"lines": 9}),
-            beside=Beside(frames=tmp_path / "frames"),
-        )
-    (tmp_path / "frames").mkdir()
-    with pytest.raises(OutputExistsError):
-        simulate(
-            "street",
-            tmp_path / "a.npz",
-            load_settings("street", options=options()),
-            beside=Beside(frames=tmp_path / "frames"),
-        )
-    assert not (tmp_path / "a.npz").exists()
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"max_range_m": 0.5},
-        {"min_range_m": 9.0, "max_range_m": 5.0},
-        {"pane_share": 0.7, "ghost_share": 0.4},
-        {"is_static": True},
-        {"colour": "red"},
-        {"noise_m": float("nan")},
-    ],
-)
-def test_senseless_values_are_refused(values):
-    with pytest.raises(ValidationError):
-        SCANNERS["photon-80"].changed(**values)
-
-
-def test_stops_are_as_far_apart_as_braking_needs():
-    car = MOTIONS["car"].model_dump()
-    none = {**car, "stop_every_m": 0.0}
-    far = {**car, "stop_every_m": 5000.0}
-    assert _with_room_to_stop(none) == none
-    assert _with_room_to_stop(far) == far
-    fast = _with_room_to_stop({**car, "speed_m_s": 30.0, "stop_every_m": 5.0})
-    assert fast["stop_every_m"] == math.ceil(MotionParams(**fast).braking_m / 0.3)

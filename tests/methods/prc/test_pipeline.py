@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from prc_cli.core.classes import Label
 from prc_cli.core.config import build
-from prc_cli.core.errors import ConfigError
 from prc_cli.core.types import F32
 from prc_cli.methods.prc.pipeline import PrcParams
 from prc_cli.methods.prc.support import (
@@ -66,44 +65,6 @@ def test_pipeline_equals_the_oracle_at_the_published_parameters():
         labels = run_stream(image, params)
         assert_equal_bits(labels, paper.classify_stream(image, to_settings(params, 400)))
         assert len(np.unique(labels[0])) >= 4
-
-
-@pytest.mark.parametrize(
-    "table, message",
-    [
-        (
-            {"support": {"zeta_s": -1}},
-            "support.zeta_s: found -1, expected: .*greater than or equal to 0",
-        ),
-        ({"support": {"zeta_p": float("nan")}}, "support.zeta_p"),
-        ({"support": {"rho_c": 0}}, "support.rho_c: found 0, expected: .*greater than 0"),
-        (
-            {"support": {"rounding": "up"}},
-            "support.rounding: found 'up', expected: .*'ceil' or 'floor'",
-        ),
-        ({"background": {"alpha": 0.5}}, "background.alpha: found 0.5, expected: .*less than 0.5"),
-        ({"background": {"d_c": 0}}, "background.d_c: found 0"),
-        ({"components": {"min_votes": 0}}, "components.min_votes: found 0"),
-        (
-            {"surfaces": {"area": 0}},
-            'surfaces.area: expected: a positive number of pixels or "auto", found 0',
-        ),
-        ({"surfaces": {"area": "large"}}, "surfaces.area: .* found 'large'"),
-        ({"surfaces": {"area": True}}, "surfaces.area: .* found True"),
-        ({"surfaces": {"area": float("inf")}}, "surfaces.area: .* found inf"),
-        ({"surfaces": {"area": float("nan")}}, "surfaces.area: .* found nan"),
-        ({"surfaces": {"gamma": 1.5}}, "surfaces.gamma: found 1.5"),
-        ({"urban": {"ground": "largest"}}, "urban.ground: found 'largest'"),
-        ({"forest": {"column_step": 0}}, "forest.column_step: found 0"),
-        ({"lines_per_block": 0}, "lines_per_block: found 0"),
-        ({"environment": "desert"}, "environment: found 'desert', expected: .*'urban' or 'forest'"),
-        ({"surface": {}}, "unknown key 'surface'; did you mean 'surfaces'"),
-        ({"support": {"zeta": 1}}, "unknown key 'support.zeta'; did you mean 'support.zeta_"),
-    ],
-)
-def test_parameters_out_of_bounds_name_key_found_and_expected(table, message):
-    with pytest.raises(ConfigError, match=message):
-        build(PrcParams, table, "drive.toml")
 
 
 def random_window(rng: np.random.Generator, n_lines: int, m: int) -> F32:
