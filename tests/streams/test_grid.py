@@ -9,17 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from prc_cli.core.errors import InputError, OrderError
+from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ReadTally
-from prc_cli.formats.options import InputConfig
 from prc_cli.streams import grid, lines
-from prc_cli.streams.grid import open_grid
 from tests.streams.record_lists import (
     LINE_HZ,
     N_LINES,
     SHOT_HZ,
     M,
-    MemorySource,
     only,
     open_records,
     read,
@@ -169,44 +166,6 @@ def test_memory_is_bounded_when_a_line_never_ends(monkeypatch):
         open_records(stamps, 100)
 
 
-def test_a_wrong_column_does_not_blow_up_the_image():
-    n = 4000
-    records = {"range": np.ones(n), "scan_line": np.arange(n) // 2, "column": np.arange(n) % 2}
-    records["column"][77] = 9_999_999
-    with pytest.raises(
-        InputError,
-        match="2000 lines of 10000000 columns for 4000 shots: a column number is wrong.*-M",
-    ):
-        open_records(records)
-    whole = read(open_records(records, points_per_line=2))
-    assert whole.tally == ReadTally(n_unplaced=1)
-    records["column"] = records["column"].astype(np.float64)
-    records["column"][77] = 1e300
-    assert read(open_records(records)).tally == ReadTally(n_unplaced=1)
-
-
-@pytest.mark.parametrize("chunk_records", [1, 7, 1000])
-@pytest.mark.parametrize(
-    "where, lines", [("scan_line", "auto"), ("lines = time: .*", "time:99000")]
-)
-def test_lines_that_are_nearly_all_empty_are_refused(chunk_records, where, lines):
-    """3e10 cells for 300 records, every gap allowed by itself."""
-    n = 300
-    # uneven gaps: even ones would be steps of a counter
-    line = np.arange(n) * 99_000 - np.arange(n) // 2
-    records = {"range": np.ones(n), "scan_line": line, "column": np.zeros(n)}
-    if lines != "auto":
-        records = {**only(records, "range", "column"), "time": np.arange(n) * 1.0}
-    config: dict[str, Any] = {"points_per_line": 1000, "lines": lines}
-    with pytest.raises(
-        InputError, match=where + r".* lines of 1000 columns at record \d+, expected at most"
-    ):
-        read(open_grid(MemorySource(records, chunk_records), InputConfig(**config)))
-    two = {name: value[:2] for name, value in records.items()}
-    meant = InputConfig(**{**config, "points_per_line": 100, "max_gap_lines": 100_001})
-    assert read(open_grid(MemorySource(two, chunk_records), meant)).range_m.shape[0] > 99_000
-
-
 SEVERAL = "scanner_channel"
 
 
@@ -235,35 +194,6 @@ def test_scanners_are_split(rule, chunk_records):
         assert np.array_equal(whole.range_m, image, equal_nan=True)
         there = whole.record >= 0
         assert np.array_equal(mixed["range"][whole.record[there]], image[there])
-
-
-def test_a_partial_line_is_refused_when_opened_and_the_true_length_is_named():
-    with pytest.raises(InputError, match='left over.*input.partial_line="pad"'):
-        open_grid(MemorySource({"range": np.ones(10)}), InputConfig(points_per_line=4))
-    line = np.random.default_rng(5).uniform(2, 20, 50)
-    with pytest.raises(InputError, match="repeat after 50 shots: give -M 50"):
-        open_grid(MemorySource({"range": np.tile(line, 40)}), InputConfig(points_per_line=49))
-
-
-def test_an_earlier_drive_behind_a_later_one_is_refused():
-    """One step back in 40 000, but by the whole drive.
-
-    Half of the shots would have no line left.
-    """
-    n = 20_000
-    time_s = np.concatenate([100 + np.arange(n) / 1000, np.arange(n) / 1000])
-    records = {"range": np.ones(2 * n), "time": time_s}
-    options: dict[str, Any] = {"lines": "time:50", "columns": "time:1000"}
-    with pytest.raises(
-        OrderError, match="time decreases in 1 of 39,999 steps, largest at record 20000"
-    ):
-        read(open_records(records, 999, **options))
-    trusted = read(open_records(records, 999, order="trust", **options))
-    assert trusted.tally.n_unplaced == n
-    assert trusted.tally.n_time_steps_back == 1
-    sorted_ = read(open_records(records, 999, order="sort-time", **options))
-    assert sorted_.range_m.shape == (6000, 20)  # 120 s
-    assert np.isnan(sorted_.range_m).sum() == 6000 * 20 - 2 * n
 
 
 def test_sorting_by_time_restores_the_scene():

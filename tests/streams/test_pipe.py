@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ReadTally, ScanBlock, StreamInfo
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig, Layout, LayoutField
@@ -79,21 +79,6 @@ def test_the_same_stream_as_from_a_file(tmp_path, sizes):
     np.testing.assert_array_equal(blocks[0].angle_rad, whole[0].angle_rad)
 
 
-@pytest.mark.parametrize(
-    "data, message",
-    [
-        (b"", "ended before the first record of 4 bytes"),
-        (b"abc", "ended before the first record of 4 bytes"),
-        (np.ones(3, "<f4").tobytes() + b"xy", "ended inside record 3: found 2 bytes of 4"),
-    ],
-)
-def test_an_end_in_the_wrong_place(data, message):
-    source = PipeSource(Pieces(data, [5]), RANGES)
-    source.seal()
-    with pytest.raises(InputError, match=message):
-        ranges_of(source)
-
-
 def test_a_pipe_that_breaks():
     class Broken(Pieces):
         def read(self, size: int = -1, /) -> bytes:
@@ -101,13 +86,6 @@ def test_a_pipe_that_breaks():
 
     with pytest.raises(InputError, match=r"stdin: cannot be read \(Input/output error\)"):
         ranges_of(PipeSource(Broken(b"", [1]), RANGES))
-
-
-def test_what_would_need_the_whole_input_first():
-    with pytest.raises(ConfigError, match="cannot be sorted by time"):
-        open_pipe(Pieces(b"", [1]), InputConfig(points_per_line=3, order="sort-time"), RANGES)
-    with pytest.raises(ConfigError, match="no dimension 'time' in the file; it has: range"):
-        next(PipeSource(Pieces(b"", [1]), RANGES).chunks(("time",)))
 
 
 @dataclass

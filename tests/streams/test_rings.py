@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from prc_cli.config import resolve
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.errors import InputError
 from prc_cli.core.frame import turning
 from prc_cli.core.types import I64
 from prc_cli.formats.frame import is_frame
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
-from prc_cli.streams import rings
 from prc_cli.streams.open import open_input
 from prc_cli.streams.rings import open_rings
 from tests.clouds import seen
@@ -94,60 +93,6 @@ def test_every_record_finds_its_cell(way, begin_deg, upwards):
     )
     assert np.array_equal(intensity[line, column], records["intensity"])
     assert np.array_equal(np.isnan(whole.range_m), whole.record < 0)
-
-
-@pytest.mark.parametrize(
-    "keys, key",
-    [
-        ({"columns": "angle"}, "columns"),
-        ({"range": "dimension:range"}, "range"),
-        ({"scanner": "user_data"}, "scanner"),
-        ({"order": "sort-time"}, "order"),
-    ],
-)
-def test_other_rules_are_refused(keys, key):
-    with pytest.raises(ConfigError, match=f"input.{key}: found .* where lines = rings"):
-        opened(frame()[0], **keys)
-
-
-def shuffled(records: dict[str, Any]) -> dict[str, Any]:
-    order = np.random.default_rng(0).permutation(len(records["x"]))
-    return {name: value[order] for name, value in records.items()}
-
-
-def by_column(records: dict[str, Any]) -> dict[str, Any]:
-    """In the order of firing: all rings of an azimuth together."""
-    order = np.argsort(np.arctan2(records["y"], records["x"]), kind="stable")
-    return {name: value[order] for name, value in records.items()}
-
-
-def test_frames_that_are_no_rings_are_refused(monkeypatch):
-    records, *_ = frame()
-    with pytest.raises(InputError, match="turn|rings from top to bottom"):
-        opened(shuffled(records))
-    with pytest.raises(
-        InputError,
-        match=r"the records turn [01].* times around the scanner, expected ring after ring",
-    ):
-        opened(by_column(records))
-    with pytest.raises(
-        InputError, match="found 16 rings, expected 64 as input.points_per_line says"
-    ):
-        opened(records, points_per_line=64)
-    swapped = {
-        name: np.concatenate([value[2000:], value[:2000]]) for name, value in records.items()
-    }
-    with pytest.raises(InputError, match="expected rings from top to bottom or from bottom to top"):
-        opened(swapped)
-    with pytest.raises(InputError, match="too few for rings"):
-        opened({name: value * 0 for name, value in records.items()})
-    with pytest.raises(InputError, match="far more cells than records"):
-        opened(records, azimuth_step=0.001)
-    with pytest.raises(InputError, match="needs x, y, z; the file has no z"):
-        opened({name: value for name, value in records.items() if name != "z"})
-    monkeypatch.setattr(rings, "MAX_RECORDS", 3000)
-    with pytest.raises(InputError, match="more than 3000 records, expected one frame"):
-        opened(records)
 
 
 @pytest.mark.filterwarnings("error")

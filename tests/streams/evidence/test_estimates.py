@@ -8,21 +8,12 @@ import laspy
 import numpy as np
 import pytest
 
-from prc_cli.cli import main
-from prc_cli.config import LoadedConfig, RunConfig, load_config
-from prc_cli.core.blocks import join
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32
-from prc_cli.formats.input import Input
 from prc_cli.jobs.choice import choice_by_beams
-from prc_cli.jobs.info import inspect
 from prc_cli.streams.evidence.figures import LineSample
 from prc_cli.streams.evidence.periods import estimate_points_per_line, measure_rates
 from prc_cli.streams.evidence.place import MOST_LINES, SAMPLE_LINES, place_of, place_of_blocks
-from prc_cli.streams.evidence.reading import other_reading
-from prc_cli.streams.open import open_input
-from tests.formats.builders import of_points, write_las
-from tests.formats.cloud_files import Array
 from tests.methods.fused.street_lines import BEAM, street_lines
 
 
@@ -73,60 +64,6 @@ def test_oakland(real_data, number, m):
     )
 
 
-def drive(
-    line_hz: float,
-    m: int,
-    n_lines: int,
-    seed: int = 0,
-) -> tuple[Array, Array, Array]:
-    """Times, line and column of the shots that return: a street with a third of sky, and leaves."""
-    rng = np.random.default_rng(seed)
-    line, column = np.divmod(np.arange(n_lines * m), m)
-    sky = np.abs(column - 0.3 * m) < m / 6
-    leaves = (np.abs(column - 0.7 * m) < m / 12) & (rng.random(len(line)) < 0.4)
-    there = ~sky & ~leaves
-    return ((line * m + column) / (line_hz * m) + 1000.0)[there], line[there], column[there]
-
-
-def test_info_lists_all_that_is_missing_and_its_command_does(tmp_path):
-    """Lines and columns come back as they were.
-
-    a guess of 48 lines a second makes shots collide.
-    """
-    time, line, column = drive(54.0, 2154, 40)
-    angle = 2 * np.pi * column / 2154 - 0.6 * np.pi + np.pi
-    range_m = np.minimum(
-        2.0 / np.maximum(np.cos(angle), 0.05), 9.0 / np.maximum(np.abs(np.sin(angle)), 0.05)
-    )
-    xyz = np.stack([5 * time, range_m * np.sin(angle), 2 - range_m * np.cos(angle)], axis=1)
-    path = tmp_path / "a.laz"
-    track = tmp_path / "t.csv"
-    write_las(path, of_points(xyz, time=time))
-    track.write_text("time,x,y,z\n" + "".join(f"{t},{5 * t},0,2\n" for t in (999.0, 1001.0)))
-    inspection = inspect(path, LoadedConfig(RunConfig()))
-    assert inspection.missing == ("--range points",)
-    assert inspection.problem == "the file has no ranges"
-    assert "--range trajectory:FILE" in inspection.hint
-    rules = {"range": f"trajectory:{track}"}
-    block = join(
-        list(
-            open_input(Input.of(path), load_config(options={"input": rules}).config.input).blocks()
-        )
-    )
-    assert block.tally.n_collisions == block.tally.n_unplaced == 0
-    record = np.asarray(block.record)
-    at_line, at_column = np.nonzero(record >= 0)
-    shot = line * 2154 + column
-    np.testing.assert_array_equal(
-        np.diff(at_line * 2154 + at_column), np.diff(shot[record[record >= 0]])
-    )
-    guess = rules | {"lines": "time:48", "columns": f"time:{48 * 2154}"}
-    guessed = inspect(path, load_config(options={"input": guess}))
-    assert any("the times show 116316" in note for note in guessed.notes)
-    assert guessed.facts is not None
-    assert guessed.facts.tally.n_collisions > 1000
-
-
 @pytest.mark.data
 def test_the_real_profiler(real_data):
     """Four lines, times rounded to four shots: 0.98374 us a shot, 5.0161 ms a line."""
@@ -138,109 +75,6 @@ def test_the_real_profiler(real_data):
     assert 1e6 / scan.shot_hz == pytest.approx(0.98374, rel=5e-4)
     assert 1e3 / scan.line_hz == pytest.approx(5.0161, rel=1e-4)
     assert abs(scan.points_per_line - 5099) <= 2
-
-
-M = 1000
-LINES = 200
-
-
-def run(arguments: list[str]) -> object:
-    """Exit code of a command."""
-    with pytest.raises(SystemExit) as stop:
-        main(arguments)
-    return stop.value.code
-
-
-def misread_street() -> F32:
-    """A road and two walls around a scanner 2 m above it, a tenth of the shots missing, 5 mm of
-    noise."""
-    angle = np.linspace(-np.pi, np.pi, M, endpoint=False)
-    noise = np.random.default_rng(3).normal(0, 0.005, (LINES, M))
-    with np.errstate(divide="ignore"):
-        wall = np.where(np.arange(LINES)[:, None] // 40 % 2, 6.0, 9.0) / np.abs(np.sin(angle))
-        road = np.where(np.cos(angle) > 0, 2.0 / np.cos(angle), np.inf)
-    range_m = np.minimum(np.minimum(road, wall), 60.0) + noise
-    range_m[:, : M // 20] = range_m[:, -M // 20 :] = 0
-    return range_m.astype(np.float32)
-
-
-@pytest.mark.parametrize(
-    "stored, scale, header, options",
-    [
-        ("<f4", 1, 0, ""),
-        (">f4", 1, 0, "--set layout.endian=big"),
-        ("<f4", 1, 2, "--set layout.header_bytes=2"),
-        ("<f4", 1, 128, "--set layout.header_bytes=128"),
-        ("<f8", 1, 0, """--set 'layout.fields=[{name="range",type="f8",missing=0}]'"""),
-        (
-            "<u2",
-            1000,
-            0,
-            """--set 'layout.fields=[{name="range",type="u2",scale=0.001,missing=0}]'""",
-        ),
-        (
-            "<u2",
-            100,
-            0,
-            """--set 'layout.fields=[{name="range",type="u2",scale=0.01,missing=0}]'""",
-        ),
-        (
-            ">u4",
-            1000,
-            3,
-            """--set 'layout.fields=[{name="range",type="u4",scale=0.001,missing=0}]' """
-            "--set layout.endian=big --set layout.header_bytes=3",
-        ),
-        (
-            "<f4",
-            1000,
-            0,
-            """--set 'layout.fields=[{name="range",type="f4",scale=0.001,missing=0}]'""",
-        ),
-    ],
-)
-def test_the_right_reading_is_found(
-    tmp_path,
-    stored,
-    scale,
-    header,
-    options,
-):
-    """Whatever type, byte order, unit and header."""
-    dump = tmp_path / "scan.bin"
-    dump.write_bytes(bytes(range(header)) + (misread_street() * scale).astype(stored).tobytes())
-    reading = other_reading(dump, M)
-    assert reading is not None
-    assert reading.options() == options
-
-
-def test_what_is_no_scan_has_no_reading(tmp_path):
-    dump = tmp_path / "scan.bin"
-    for content in (
-        np.random.default_rng(1).bytes(1 << 18),
-        bytes(1 << 18),
-        np.full(1 << 16, 8, "<f4").tobytes(),
-        np.random.default_rng(1).permutation(misread_street().ravel()).tobytes(),
-        misread_street().tobytes()[:4000],
-    ):
-        dump.write_bytes(content)
-        assert other_reading(dump) is None
-
-
-def test_the_refusal_names_the_options_that_mend_it(tmp_path, capsys):
-    """What is named can be typed, and labels the scan."""
-    dump = tmp_path / "scan.bin"
-    labels = tmp_path / "labels.npy"
-    misread_street().astype(">f4").tofile(dump)
-    command = ["classify", str(dump), str(labels), "--preset", "prc-2019-urban", "-M", str(M)]
-    assert run(command) == 1
-    assert (
-        "hint: its bytes are ranges of a scan with --set layout.endian=big; to accept"
-        in capsys.readouterr().err
-    )
-    assert run(["info", str(dump), "-M", str(M)]) == 0
-    assert f"-M {M} --set layout.endian=big\n" in capsys.readouterr().out
-    assert run([*command, "--set", "layout.endian=big"]) == 0
 
 
 def forest_lines(n_lines: int, *, stems: bool = True) -> F32:
