@@ -14,6 +14,7 @@ from prc_cli.jobs.choice import choice_by_beams
 from prc_cli.streams.evidence.figures import LineSample
 from prc_cli.streams.evidence.periods import estimate_points_per_line, measure_rates
 from prc_cli.streams.evidence.place import MOST_LINES, SAMPLE_LINES, place_of, place_of_blocks
+from tests.formats.cloud_files import Array
 from tests.methods.fused.street_lines import BEAM, street_lines
 
 
@@ -62,6 +63,21 @@ def test_oakland(real_data, number, m):
         estimate_points_per_line(np.random.default_rng(0).permutation(ranges)).points_per_line
         is None
     )
+
+
+def drive(
+    line_hz: float,
+    m: int,
+    n_lines: int,
+    seed: int = 0,
+) -> tuple[Array, Array, Array]:
+    """Times, line and column of the shots that return: a street with a third of sky, and leaves."""
+    rng = np.random.default_rng(seed)
+    line, column = np.divmod(np.arange(n_lines * m), m)
+    sky = np.abs(column - 0.3 * m) < m / 6
+    leaves = (np.abs(column - 0.7 * m) < m / 12) & (rng.random(len(line)) < 0.4)
+    there = ~sky & ~leaves
+    return ((line * m + column) / (line_hz * m) + 1000.0)[there], line[there], column[there]
 
 
 @pytest.mark.data
