@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from prc_cli.cli.batch_report import print_status
@@ -89,84 +88,6 @@ def test_one_line_a_file_without_control_characters(office):
     assert any(line.startswith("[2/3] failed night/bad.laz: byte") for line in lines)
     assert lines[-1].startswith("2 done, 1 failed of 3 in ")
     assert not any("\r" in line for line in lines)
-
-
-def test_the_log_tells_every_event_with_exact_names(office):
-    lines = [
-        json.loads(line) for line in (office[1].parent / "log.jsonl").read_bytes().splitlines()
-    ]
-    # other tests go on in the same log
-    lines = [line for line in lines if line["process"] == lines[0]["process"]]
-    events = [line["event"] for line in lines]
-    assert (events[0], events[1], events[-1]) == ("run_start", "plan", "run_end")
-    assert {line["shard"] for line in lines} == {None}
-    assert events.count("file_start") == 3
-    assert {line["name"] for line in lines if line["event"] == "file_done"} == {"drive.npz", ODD}
-    failed = next(line for line in lines if line["event"] == "file_failed")
-    assert (failed["name"], failed["kind"]) == ("night/bad.laz", "InputError")
-    end = lines[-1]
-    assert (end["exit_code"], end["done"], end["failed"], end["found"]) == (1, 2, 1, 3)
-    assert all(line["time"].endswith("Z") for line in lines)
-
-
-@pytest.mark.slow
-def test_nothing_to_do_is_one_line_or_none_and_the_reference_is_compared_anyway(
-    office, prc, tmp_path
-):
-    archive = office[0]
-    out = tmp_path / "out"
-    shutil.copytree(office[1], out)
-    options = (archive, out, "--preset", "prc-2019-urban", "--exclude", "bad.laz")
-    result = prc(*options)
-    assert (result.code, result.out) == (0, "")
-    nothing, trusted = result.err.splitlines()
-    assert nothing == f"nothing to do: 2 files are done ({out})"
-    assert (
-        trusted
-        == "prc compared earlier files by size and time only; --verify compares their content"
-    )
-    result = prc(*options, "--quiet")
-    assert (result.code, result.out, result.err) == (0, "", "")
-    codes = np.load(out / "drive.npz.labels.npy")
-    np.save(tmp_path / "drive.npy", codes)
-    result = prc(*options, "--reference", tmp_path, "--fail-under", "accuracy=1")
-    assert result.code == 0
-    assert "100.0%" in result.out
-    assert r"not compared night/stra\xdfe\n\x1b[31m.csv: no reference" in result.err
-    codes[codes == 2] = 6
-    np.save(tmp_path / "drive.npy", codes)
-    result = prc(*options, "--reference", tmp_path, "--fail-under", "recall.building=0.9", "-q")
-    assert result.code == 3
-    assert "recall.building: found" in result.err
-    summary = json.loads((out / "summary.json").read_text())
-    assert [item["scores"] is None for item in summary["evaluation"]["files"]] == [False, True]
-
-
-@pytest.mark.slow
-def test_retry_repeats_the_last_run_for_what_failed_from_any_folder(
-    office,
-    prc,
-    tmp_path,
-    monkeypatch,
-):
-    out = tmp_path / "out"
-    shutil.copytree(office[1], out)
-    monkeypatch.chdir(tmp_path)
-    result = prc("retry", "out", "--json")
-    table = json.loads(result.out)
-    assert result.code == 1
-    assert [item["name"] for item in table["failed"]] == ["night/bad.laz"]
-    assert table["done"] == []
-    assert Path.cwd() == tmp_path
-    assert prc("clean", "out").out == "removed 0 files (0.0 MiB)\n"
-    assert json.loads(prc("retry", "out", "--json").out)["counts"]["failed"] == 1
-    command = json.loads((out / ".prc" / "command.json").read_bytes())
-    for typed in (["status", "out"], ["archive", "out", "--no-such-option"], 7):
-        (out / ".prc" / "command.json").write_text(json.dumps(command | {"arguments": typed}))
-        assert prc("retry", "out").code == 2
-    (out / ".prc" / "command.json").write_text("[]")
-    result = prc("retry", "out")
-    assert (result.code, "type the whole command again" in result.err) == (2, True)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="permissions")
@@ -436,60 +357,12 @@ def test_options_reach_the_settings(prc, play):
     assert (settings.reference.match, settings.reference.gates) == ("time", ("recall.stem=.1",))
 
 
-@pytest.mark.parametrize(
-    "words, expected",
-    [
-        ("a", "OUT"),
-        ("a o b", "unexpected extra argument"),
-        ("a o --fail-under recall.ground=1", "--reference"),
-        ("a o --engine dask", "--scheduler ADDRESS"),
-        ("a o --only-failed", "prc batch retry"),
-        ("statsu o", "did you mean prc batch status"),
-        ("a o --split 5", "no option --split"),
-        ("a o --shard 4/3", "shard"),
-        ("a o --reference none", "no such folder"),
-        ("a status", "did you mean prc batch status FOLDER? Type ./status for a folder"),
-        ("retry o --shard x", "i/n"),
-    ],
-)
-def test_wrong_usage_is_exit_code_2(prc, play, words, expected):
-    play()
-    Path("o/.prc").mkdir(parents=True)
-    Path("o/.prc/journal.sqlite").touch()
-    result = prc(*words.split())
-    assert (result.code, expected in result.err) == (2, True), result.err
-
-
 def test_a_folder_may_have_the_name_of_a_part(prc, play):
     play()
     assert prc("./status", "./retry").code == 0
     settings: BatchSettings = made_up.settings  # type: ignore[attr-defined]
     assert (settings.archive, settings.out) == (Path("status"), Path("retry"))
     assert settings.drift, "unless a user turns it off"
-
-
-def test_an_output_that_was_edited_shows_when_it_is_read(prc, tmp_path):
-    archive = tmp_path / "archive"
-    out = tmp_path / "out"
-    archive.mkdir()
-    write_npz(archive / "a.npz", street(80))
-    assert prc(archive, out, "--preset", "prc-2019-urban", "--jobs", "1").code in (0, 4)
-    output = out / "a.npz.labels.npy"
-    before = output.stat()
-    content = bytearray(output.read_bytes())
-    content[-1] ^= 1
-    output.write_bytes(content)
-    os.utime(output, ns=(before.st_atime_ns, before.st_mtime_ns))
-    trusting = prc(archive, out, "--preset", "prc-2019-urban")
-    assert "by size and time only; --verify compares their content" in trusting.err
-    assert prc("status", out).code == 0
-    result = prc("status", out, "--verify")
-    assert result.code == 1
-    assert "damaged  a.npz.labels.npy: its content has changed" in result.out
-    states = json.loads(prc("status", out, "--verify", "--json").out)["verified"]
-    assert [item["state"] for item in states] == ["damaged"]
-    assert "by size and time" not in prc(archive, out, "--preset", "prc-2019-urban", "--verify").err
-    assert prc("status", out, "--verify").code == 0, "a run that reads the outputs does it again"
 
 
 def test_status_tells_what_runs_from_what_was_interrupted(tmp_path, capsys):

@@ -12,9 +12,6 @@ from prc_cli.core.errors import ConfigError, InputError
 from tests.methods.fused.street_lines import BEAM, street_lines
 from tests.streams.evidence.test_estimates import forest_lines
 
-M = len(BEAM)
-ANGLES = f"-M {M} --set input.angle_start=-150 --set input.angle_step=0.2 --set input.nadir=0"
-
 
 @pytest.fixture
 def scans(tmp_path):
@@ -23,74 +20,6 @@ def scans(tmp_path):
         ranges.tofile(tmp_path / f"{name}.bin")
         np.savez(tmp_path / f"{name}.npz", range_m=ranges, angle_deg=np.rad2deg(BEAM))
     return tmp_path
-
-
-CASES = (
-    ("street.npz", "--set input.nadir=0", "fused"),
-    ("forest.npz", "--set input.nadir=0", "fused-forest"),
-    ("street.bin", f"-M {M}", "fused"),
-    ("forest.bin", ANGLES, "fused-forest"),
-)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name, options, preset", CASES)
-def test_the_default_is_a_preset_and_says_so(prc, scans, name, options, preset):
-    result = prc(f"classify {scans}/{name} {scans}/a.npy {options}")
-    assert result.code == 0, result.err
-    assert f"method: fused (--preset {preset}): " in result.err
-    command = f"classify {scans}/{name} {scans}/b.npy {options} --preset {preset} -q"
-    assert prc(command).code == 0
-    np.testing.assert_array_equal(np.load(scans / "a.npy"), np.load(scans / "b.npy"))
-    record, named = (json.loads((scans / f"{stem}.npy.prc.json").read_text()) for stem in "ab")
-    assert record["assumptions"][0]["key"] == "method"
-    assert record["assumptions"][0]["value"] == f"fused (--preset {preset})"
-    assert record["config"] == named["config"]
-    assert all(assumption["key"] != "method" for assumption in named["assumptions"])
-    report = prc.json(f"info {scans}/{name} {options}")
-    assert report["method"] == "fused"
-    assert "--preset" not in report["command"]  # the input decides again
-
-
-@pytest.mark.slow
-def test_what_is_asked_for_may_leave_one_method(prc, scans):
-    source = f"{scans}/street.npz"
-    down = "--set input.nadir=0"
-    for options in (
-        "--set output.segment_ids=true",
-        "--engine reference",
-        "--set prc.support.zeta_p=0.5",
-    ):
-        result = prc(f"classify {source} {scans}/o.npy --json -q --overwrite {down} {options}")
-        assert result.code == 0, result.err
-        assert json.loads(result.out)["config"]["method"] == "prc"
-    result = prc(f"render {source} {scans}/o.png --steps figure1 {down}")
-    assert result.code == 0, result.err
-    result = prc(f"render {source} {scans}/p.png {down}")
-    assert (result.code, "fused" in result.err) == (0, True), result.err
-
-
-@pytest.mark.slow
-def test_a_batch_chooses_for_every_file_and_resumes(prc, scans):
-    (scans / "in").mkdir()
-    for name in ("street.npz", "forest.npz"):
-        (scans / name).rename(scans / "in" / name)
-    command = f"batch {scans}/in {scans}/out --set input.nadir=0 --jobs 1 --to npy"
-    result = prc(command)
-    assert result.code == 0, result.err
-    records = {
-        path.name.split(".")[0]: json.loads(path.read_text()) for path in scans.rglob("*.prc.json")
-    }
-    environments = {
-        name: record["config"]["fused"]["environment"] for name, record in records.items()
-    }
-    assert environments == {"street": "urban", "forest": "forest"}
-    assert all(record["config"]["method"] == "fused" for record in records.values())
-    before = {path: path.stat().st_mtime_ns for path in (scans / "out").rglob("*.npy")}
-    assert prc(command).code == 0
-    # another method is another configuration
-    assert prc(f"{command} --preset prc-2019-urban").code == 0
-    assert {path: path.stat().st_mtime_ns for path in (scans / "out").rglob("*.npy")} != before
 
 
 def test_tables_and_presets_decide():

@@ -1,7 +1,5 @@
 """`prc evaluate PREDICTED... REFERENCE`: several methods in one table."""
 
-import csv
-import json
 from pathlib import Path
 
 import numpy as np
@@ -58,67 +56,3 @@ def test_the_confusion_of_the_paper_is_written(prc, table_i, tmp_path):
         for row in shares:
             cells = [f"{share / sum(row):.3f}" for share in row]
             assert any(line.endswith(f"{' | '.join(cells)} |") for line in lines)
-
-
-def test_every_cell_is_that_of_a_single_run(prc, table_i, tmp_path):
-    table = json.loads(prc(*arguments(table_i), "--json", "--intervals", "-M", "5").out)
-    lines = list(csv.DictReader(written(prc, tmp_path / "a.csv", *arguments(table_i)).splitlines()))
-    for zeta_p in TABLE_I:
-        labels = str(table_i / f"zeta_{zeta_p}.npy")
-        single = ("evaluate", labels, str(table_i / "car.npy"), "--mapping", "lehtola_urban")
-        alone = json.loads(prc(*single, "--json", "--intervals", "-M", "5").out)
-        assert table["methods"][f"PRC {zeta_p}"] == alone
-        assert alone["intervals"]
-        rows = [dict(row) for row in lines if row["method"] == f"PRC {zeta_p}"]
-        for row in rows:
-            del row["method"]
-        assert rows == list(
-            csv.DictReader(written(prc, tmp_path / f"{zeta_p}.csv", *single).splitlines())
-        )
-
-
-def test_page_has_every_method(prc, table_i, tmp_path):
-    page = tmp_path / "page.html"
-    assert prc(*arguments(table_i), "--output", str(page), "-q").code == 0
-    text = page.read_text(encoding="utf-8")
-    assert text.count("<h2>PRC ") == 2
-    assert "<b>0.964</b>" in text
-    assert 'src="http' not in text
-
-
-def test_names_come_from_records_names_and_files(prc, table_i, tmp_path):
-    labels = np.load(table_i / "zeta_0.1.npy")
-    for name in ("monday", "tuesday", "by_hand"):
-        np.save(tmp_path / f"{name}.npy", labels)
-    record = {"program": "prc-cli", "config": {"method": "prc"}, "assumptions": []}
-    for name in ("monday", "tuesday"):
-        (tmp_path / f"{name}.npy.prc.json").write_text(json.dumps(record), encoding="utf-8")
-    files = [str(tmp_path / f"{name}.npy") for name in ("monday", "tuesday", "by_hand")]
-    ends = [str(table_i / "car.npy"), "--mapping", "lehtola_urban", "--json"]
-    names = list(json.loads(prc("evaluate", *files, *ends).out)["methods"])
-    assert names == ["prc (monday)", "prc (tuesday)", "by_hand"]
-    twice = prc(f"evaluate a={files[0]} a={files[1]}", *ends)
-    assert twice.code == 2
-    assert f"NAME={files[1]}" in twice.err
-
-
-@pytest.mark.parametrize("option", [("--third", "car.npy"), ("--by", "range:5,10")])
-def test_options_for_one_prediction_are_refused(prc, table_i, option):
-    name, value = option
-    value = str(table_i / value) if name == "--third" else value
-    done = prc(*arguments(table_i), name, value)
-    assert done.code == 2
-    assert "expected one" in done.err
-
-
-def test_gates_hold_for_every_method(prc, table_i):
-    done = prc(*arguments(table_i), "--fail-under", "recall.ground=0.9")
-    assert done.code == 3
-    assert "PRC 0.1: recall.ground" in done.err
-    assert "PRC 1.0" not in done.err
-
-
-def test_one_file_is_refused(prc, table_i):
-    done = prc(f"evaluate {table_i}/car.npy")
-    assert done.code == 2
-    assert "REFERENCE" in done.err

@@ -3,17 +3,14 @@
 Place, intensity, number; what cannot be kept is told.
 """
 
-import struct
 from pathlib import Path
 from typing import Any
 
 import laspy
 import numpy as np
 import plyfile
-import pytest
 
 from tests.formats import cloud_files
-from tests.formats.builders import write_las
 from tests.formats.organised_files import grid_points, ptx_scan, turn_x
 from tests.street import angles, street
 
@@ -40,63 +37,6 @@ def ply(path: Path, **changes: Any) -> Path:
 
 
 OPTIONS = "--preset fused --set input.angle_start=0 --set input.angle_step=2 --set input.nadir=0"
-
-
-def test_records_behind_the_count_of_the_header_are_a_warning(prc, tmp_path):
-    source = write_las(tmp_path / "few.las", POINTS)
-    data = bytearray(source.read_bytes())
-    struct.pack_into("<Q", data, 247, 8000)
-    source.write_bytes(data)
-    result = prc(f"classify {source} {tmp_path}/o.npy -q {OPTIONS}")
-    assert result.code == 4
-    assert f"unread: {len(LINE) - 8000:,} whole records follow the 8,000" in result.err
-    source.write_bytes(bytes(data[: -(len(LINE) - 8000) * 42]) + bytes(42 * 100))
-    assert "unread" not in prc(f"classify {source} {tmp_path}/p.npy -q {OPTIONS}").err
-
-
-@pytest.mark.parametrize("version, is_read", [("1.5", True), ("1.9", False)])
-def test_las_1_5_is_read_and_written(
-    prc,
-    tmp_path,
-    version,
-    is_read,
-):
-    source = write_las(tmp_path / "new.las", POINTS)
-    laspy.convert(laspy.read(source), file_version="1.5").write(source)
-    output = tmp_path / "o.las"
-    data = bytearray(source.read_bytes())
-    data[25] = int(version[-1])
-    source.write_bytes(data)
-    result = prc(f"classify {source} {output} -q {OPTIONS}")
-    if is_read:
-        assert result.code in (0, 4), result.err
-        assert str(laspy.read(output).header.version) == "1.5"
-    else:
-        assert "save it as LAS 1.4" in result.err
-
-
-def test_intensities_from_0_to_1_keep_their_steps(prc, tmp_path):
-    result = prc(f"classify {ply(tmp_path / 'a.ply')} {tmp_path}/a.las {OPTIONS}")
-    assert "intensities from 0 to 1 are written as 0 to 65535" in result.err
-    written = np.asarray(laspy.read(tmp_path / "a.las").intensity)
-    np.testing.assert_allclose(written / 65535, np.linspace(0, 1, len(LINE)), atol=1e-5)
-    of_two = ply(tmp_path / "b.ply", intensity=(LINE % 2).astype(np.uint8))
-    prc(f"classify {of_two} {tmp_path}/b.las -q {OPTIONS}")
-    assert set(np.asarray(laspy.read(tmp_path / "b.las").intensity)) == {0, 1}
-
-
-@pytest.mark.parametrize("value", [np.nan, 1e9])
-def test_a_single_damaged_coordinate_is_counted(prc, tmp_path, value):
-    x = 0.2 * LINE
-    x[5] = value
-    result = prc(f"classify {ply(tmp_path / 'a.ply', x=x)} {tmp_path}/a.las {OPTIONS}")
-    assert result.code in (0, 4)
-    assert "1 records have no usable x, y, z" in result.err
-    points = laspy.read(tmp_path / "a.las")
-    np.testing.assert_allclose(np.delete(np.asarray(points.x), 5), np.delete(x, 5), atol=1e-3)
-    x[: len(x) // 2] = value
-    result = prc(f"classify {ply(tmp_path / 'b.ply', x=x)} {tmp_path}/b.las -q {OPTIONS}")
-    assert result.code == 1
 
 
 def test_points_of_static_scans_keep_their_place(prc, tmp_path):

@@ -91,38 +91,3 @@ def test_las_holds_the_records_of_the_window_alone(prc, folder):
     assert laspy.read(folder / "s.laz").header.point_count == np.count_nonzero(
         source.scan_line < 20
     )
-
-
-@pytest.mark.parametrize("command", [("batch", "."), ("thin", "d.laz"), ("render", "d.laz")])
-def test_commands_that_take_files_whole_refuse(prc, folder, command):
-    source = folder / command[1]
-    output = folder / ("out.png" if command[0] == "render" else "out.laz")
-    result = prc(f"{command[0]} {source} {output} --preset prc-2019-urban --set input.first=2s")
-    assert result.code == 2
-    assert "found --only 2s, but prc" in result.err
-
-
-def test_evaluate_scores_the_window(prc, folder):
-    assert prc(f"classify {folder}/d.laz {folder}/e.laz", *URBAN).code == 0
-    source = laspy.read(folder / "d.laz")
-    lines = (source.scan_line >= 20) & (source.scan_line < 50)
-    since = source.gps_time - source.gps_time[0]
-    command = ("evaluate", folder / "e.laz", folder / "e.laz")
-    for window, inside in (
-        (("--only", "20:50"), lines),
-        (("--only", "+2:+5"), (since >= 2) & (since < 5)),
-    ):
-        result = prc(*command, *window, "--json")
-        assert result.code == 0, result.err
-        assert json.loads(result.out)["n_scored"] == np.count_nonzero(inside)
-    result = prc(*command, "--only", "20:50", "--by", "lines:10", "--json")
-    assert [part["name"] for part in json.loads(result.out)["splits"]["lines"]] == [
-        "lines 20-29",
-        "lines 30-39",
-        "lines 40-49",
-    ]
-    assert prc(*command, "--only", "200:").code == 1
-    labels = folder / "e.npy"
-    np.save(labels, np.full(N_LINES * M, 2, np.uint8))
-    assert prc(f"evaluate {labels} {labels} --only 2s").code == 2
-    assert prc.json(f"evaluate {labels} {labels} -M {M} --only 5lines")["n_scored"] == 5 * M
