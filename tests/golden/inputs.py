@@ -60,6 +60,74 @@ def make(folder: Path) -> None:
     _organised(folder, range_m)
 
 
+def make_spoilt() -> None:
+    """Write simulated scans on a grid of 12.5 cm, with stray and missing shots."""
+    rng = np.random.default_rng(6)
+
+    def spoilt(values: Array) -> Array:
+        image = np.round(8 * values.T) / 8
+        return (image * rng.choice([1] * 20 + [0.4, np.nan], image.shape[-2:])).T
+
+    for name, path, step in (("street", "sim-street/s", 9), ("forest", "sim-forest/f", 11)):
+        scan = np.load(f"../{path}.npz")
+        ranges = spoilt(scan["range_m"])[:, ::step]
+        np.savez(name, range_m=ranges, angle_deg=scan["angle_deg"][::step])
+    for name, path, step in (("scan", "sim-scan/p", 8), ("rings", "sim-turns-vlp16/v", 1)):
+        np.savez(name, xyz=spoilt(np.load(f"../{path}.npz")["xyz"])[:, ::step])
+
+
+def make_misread(source: str) -> None:
+    """Write a scan as dumps whose shots or lines are not in the order they were fired."""
+    ranges = np.load(source)
+    rng = np.random.default_rng(5)
+    half = len(ranges) // 2
+    two = ranges[:half], np.roll(ranges[half:], 200, axis=1)
+    dumps = {
+        "right": ranges,
+        "shots": rng.permutation(ranges.ravel()),
+        "lines": rng.permutation(ranges),
+        "columns": ranges.T,
+        "zigzag": np.stack([ranges[::2], ranges[1::2, ::-1]], axis=1),
+        "lost": np.delete(ranges, slice(144_000, 144_260)),
+        "two_by_line": np.stack(two, axis=1),
+        "two_by_shot": np.stack(two, axis=2),
+    }
+    for name, image in dumps.items():
+        image.tofile(f"{name}.bin")
+
+
+def make_doubtful(source: str) -> None:
+    """Write a scan as dumps that may be as they should, or not."""
+    ranges = np.load(source)
+    rng = np.random.default_rng(5)
+    chance = rng.random(ranges.shape)
+    dumps = {
+        "standing": ranges[:1] * rng.normal(1, 5e-4, ranges.shape),
+        "dropouts": np.where(chance < 0.1, np.nan, ranges),
+        "few": np.where(chance < 0.99, np.nan, ranges),
+        "rounded": np.round(ranges / 0.031) * 0.031,
+        "code": np.nan_to_num(ranges, nan=120),
+        "repeated": np.concatenate([ranges[:200], ranges[150:]]),
+    }
+    for name, image in dumps.items():
+        image.astype(np.float32).tofile(f"{name}.bin")
+
+
+def make_stored(source: str) -> None:
+    """Write a scan as dumps of many types, units and headers, missing shots as 0."""
+    ranges = np.nan_to_num(np.load(source)[:160])
+    for name, factor, kind, before, after in (
+        ("big", 1, ">f4", b"", b""),
+        ("double", 1, "f8", b"", b""),
+        ("millimetres", 1000, "f4", b"", b""),
+        ("u2", 1000, "u2", b"", b""),
+        ("centimetres", 100, "u2", b"", b""),
+        ("header", 1, "f4", b"ab", b"xy"),
+        ("three", 1000, ">u4", b"abc", b"x"),
+    ):
+        Path(f"{name}.bin").write_bytes(before + (factor * ranges).astype(kind).tobytes() + after)
+
+
 def _layouts(folder: Path, range_m: Array) -> None:
     centimetres = np.where(np.isnan(range_m), 65535, np.nan_to_num(range_m) * 100).astype(">u2")
     (folder / "u2.dat").write_bytes(b"SCAN v1".ljust(64, b"\0") + centimetres.tobytes())

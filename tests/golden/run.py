@@ -25,6 +25,7 @@ from unittest.mock import patch
 import numpy as np
 
 from tests.conftest import data_folder
+from tests.golden import inputs
 from tests.golden.cases import EXIT_CODE_ONLY, ONE_LINE_A_FILE, all_cases
 from tests.golden.inputs import ROOT, make
 
@@ -133,6 +134,10 @@ def _edit(source: str, target: str, old: str, new: str) -> None:
 
 STEPS: dict[str, Callable[..., object]] = {
     "@make": lambda: make(Path.cwd()),
+    "@spoilt": inputs.make_spoilt,
+    "@misread": inputs.make_misread,
+    "@doubtful": inputs.make_doubtful,
+    "@stored": inputs.make_stored,
     "@cp": _copy,
     "@cut": lambda path, n: os.truncate(path, int(n)),
     "@half": lambda path: os.truncate(path, Path(path).stat().st_size // 2),
