@@ -58,6 +58,18 @@ def make(folder: Path) -> None:
     las.classification[:] = 1
     las.write(folder / "registered.laz")
     _organised(folder, range_m)
+    frame().tofile(folder / "frame.bin")
+
+
+def frame() -> Array:
+    """x, y, z and intensity of a turn of 16 rings as KITTI stores it; two points share a cell."""
+    turn, ring = np.meshgrid(np.linspace(-np.pi, np.pi, 720, endpoint=False), np.arange(16))
+    turn, ring = (np.insert(part, [5, 900], part.flat[[5, 900]]) for part in (turn, ring))
+    up = np.deg2rad(2.0 - ring * 2.0)
+    far = 8 + np.sin(turn * 3)
+    far[[5, 901]] *= 1.01
+    xyz = far * (np.cos(up) * np.cos(turn), -np.cos(up) * np.sin(turn), np.sin(up))
+    return np.column_stack([*xyz, np.arange(len(turn)) % 7]).astype("<f4")
 
 
 def make_spoilt() -> None:
