@@ -1,20 +1,15 @@
 """Curves against the classifier, and estimates for a known scanner."""
 
-import re
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from prc_cli.config import load_config
 from prc_cli.core.blocks import regroup
-from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32
-from prc_cli.jobs.calibrate import NOTHING, STAYS_OPEN, calibrate
 from prc_cli.jobs.calibrate.implied import Advice, CurveCounter, Curves, imply, thresholds
-from prc_cli.jobs.calibrate.reports import as_svg
 from prc_cli.jobs.calibrate.sensor import NoiseBin, SensorEstimate, SensorMeter, _fit_noise
 from prc_cli.methods.prc.pipeline import PrcParams
 from prc_cli.methods.prc.support import (
@@ -25,7 +20,7 @@ from prc_cli.methods.prc.support import (
     support,
     window_reach,
 )
-from tests.street import POINTS_PER_LINE, street, write_npz
+from tests.street import POINTS_PER_LINE, street
 
 
 def count(image: F32, params: PrcParams, lines: int) -> Curves:
@@ -106,15 +101,6 @@ def test_noise_is_found_without_knowing_angles_or_slopes(sigma_m, per_m):
         )
 
 
-def test_unusable_streams_are_refused(tmp_path):
-    one_line = write_npz(tmp_path / "one.npz", street()[:1])
-    with pytest.raises(InputError, match="1 scan lines, expected 3 or more"):
-        calibrate(one_line)
-    nothing = write_npz(tmp_path / "nothing.npz", np.full((9, POINTS_PER_LINE), np.nan, np.float32))
-    with pytest.raises(InputError, match="all of 1620 shots are missing"):
-        calibrate(nothing)
-
-
 SENSOR = SensorEstimate(
     points_per_line=2154,
     n_lines=500,
@@ -183,29 +169,6 @@ def test_the_length_is_the_largest_that_is_asked_for(known, value, reason):
     assert advice.value == pytest.approx(value)
     assert advice.reason.startswith(reason)
     assert "; marks 1.0% of the returns" in advice.reason
-
-
-def test_notes_say_why_a_method_is_calibrated_and_curves_lie_in_the_figure(tmp_path):
-    path = write_npz(tmp_path / "a.npz", street())
-    fused = calibrate(path)
-    assert fused.advice == ()
-    assert fused.notes[0].startswith(f"{NOTHING} (taken because ")
-    narrow = tmp_path / "b.npz"
-    np.savez(narrow, range_m=street(400)[:, ::2])
-    chosen = calibrate(narrow)
-    assert chosen.notes[0].endswith(f": PRC is calibrated; {STAYS_OPEN}")
-    asked_for = calibrate(narrow, load_config(preset="prc-2019-urban"))
-    assert asked_for.notes == chosen.notes[1:]
-    curves = chosen.curves
-    lines = re.findall(r'points="([^"]+)"', as_svg(chosen))
-    shares = (curves.over_zeta_p(1.0), curves.over_zeta_s(1.0), curves.background_share())
-    grids = (curves.zetas_p, curves.zetas_s, curves.lengths)
-    scale = np.log10(np.concatenate(grids))
-    for line, grid, share in zip(lines, grids, shares, strict=True):
-        x, y = np.array([point.split(",") for point in line.split()], np.float64).T
-        along = (np.log10(grid) - scale.min()) / np.ptp(scale)
-        np.testing.assert_allclose(x, 64 + along * (720 - 24 - 64), atol=0.06)
-        np.testing.assert_allclose(y, 440 - 88 - share * (440 - 88 - 48), atol=0.06)
 
 
 @pytest.mark.parametrize(

@@ -14,10 +14,8 @@ from prc_cli.cli import main
 from prc_cli.config import load_config
 from prc_cli.core.errors import EvidenceError, InputError
 from prc_cli.core.findings import CHECK_NAMES
-from prc_cli.core.loops import ENGINES
 from prc_cli.core.stream import ExtraReturns, ReadTally
 from prc_cli.core.types import F32
-from prc_cli.formats.writing.record import record_path
 from prc_cli.jobs.classify import classify, threads_of
 from prc_cli.jobs.run import FAR_M, Counts
 from tests import patience
@@ -92,20 +90,6 @@ def test_counts_of_two_streams_add_up(only_records):
     assert both.labels.tolist()[:4] == [0, n_extra, n_shots, 0]
 
 
-def test_what_is_unusual_about_a_file_is_told_and_recorded(tmp_path):
-    """A header that promises too few points: the rest is not read, and that is said."""
-    source = write_npz(tmp_path / "drive.npz", street())
-    built = tmp_path / "drive.las"
-    classify(source, built)
-    data = bytearray(built.read_bytes())
-    n_points = int.from_bytes(data[247:255], "little")
-    data[247:255] = (n_points - 1000).to_bytes(8, "little")
-    built.write_bytes(data)
-    summary = classify(built, tmp_path / "labels.npy")
-    assert np.load(tmp_path / "labels.npy").size == n_points - 1000
-    assert any("1,000 whole records follow the" in notice for notice in summary.record.notices)
-
-
 LINES = slice(50, 90)
 WITHOUT_NUMBA = """
 import json, sys
@@ -130,23 +114,7 @@ def prc(*words: str | Path) -> int:
     return int(stop.value.code or 0)
 
 
-def by_both(source: Path, suffix: str, *options: str) -> tuple[Path, Path]:
-    """Classify with both engines through the command line."""
-    outputs = []
-    for engine in ENGINES:
-        outputs.append(source.with_name(f"{source.name}.{engine}{suffix}"))
-        assert prc("classify", source, outputs[-1], *options, "--engine", engine, "-q") == 0
-    return outputs[0], outputs[1]
-
-
-def test_the_record_names_the_reference_alone(tmp_path):
-    source = write_npz(tmp_path / "drive.npz", piece())
-    compiled, plain = (
-        json.loads(record_path(path).read_text())
-        for path in by_both(source, ".npy", "--preset", "prc-2019-urban")
-    )
-    assert plain.pop("engine") == "reference"
-    assert plain == compiled
+def test_the_reference_has_one_thread():
     assert threads_of("reference", 8) == 1
 
 
