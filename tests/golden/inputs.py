@@ -41,6 +41,9 @@ def make(folder: Path) -> None:
     range_m = image()
     range_m.tofile(folder / "drive.bin")
     range_m[:-1].ravel()[:-7].tofile(folder / "short.bin")
+    # a drive in three files, which end within a line and after less than a line
+    for number, part in enumerate(np.split(range_m.ravel(), [3677, 3690])):
+        part.tofile(folder / f"drive_{number}.bin")
     np.save(folder / "drive.npy", range_m)
     np.save(folder / "three.npy", range_m[None].repeat(3, 0))
     np.savez(
@@ -59,6 +62,10 @@ def make(folder: Path) -> None:
     las.write(folder / "registered.laz")
     _organised(folder, range_m)
     frame().tofile(folder / "frame.bin")
+    flat = [(x / 10, y / 10, 0, 2) for x in range(100) for y in range(100)]
+    post = [(5, 5, z / 20, 6) for z in range(1, 81)]
+    table = np.array(flat + post).T
+    _csv(folder / "post.csv", dict(zip(("x", "y", "z", "class"), table, strict=True)))
 
 
 def frame() -> Array:

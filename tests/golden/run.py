@@ -45,6 +45,7 @@ _VARYING = [
     (re.compile(pattern), text)
     for pattern, text in [
         (r"\d{8}T\d{6}Z-[0-9a-f]{8}", "<run>"),
+        (r"\d{8}T\d{6}\.\d+Z", "<when>"),
         (r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(\+00:00|Z)?( UTC)?", "<when>"),
         # days beside the curves of a night's report
         (r"(?<!\d)20\d\d-\d\d-\d\d(?!\d)", "<day>"),
@@ -229,7 +230,10 @@ def run_case(name: str, commands: str, folder: str) -> tuple[str, Result, float]
             if path.is_file() and not path.name.endswith(("-wal", "-shm"))
         )
         kept_files = {
-            path.relative_to(place).as_posix(): digest_of_file(path, Path(folder)) for path in files
+            plain(path.relative_to(place).as_posix(), Path(folder)): digest_of_file(
+                path, Path(folder)
+            )
+            for path in files
         }
         result["files"] = (
             kept_files

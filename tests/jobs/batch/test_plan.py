@@ -22,7 +22,7 @@ from prc_cli.jobs.batch.discovery import Patterns, discover
 from prc_cli.jobs.batch.journal import Entry, State
 from prc_cli.jobs.batch.outcomes import Done, Failed, InputPrint, Problem
 from prc_cli.jobs.batch.plan import Estimate, Plan, estimate, make_plan
-from prc_cli.jobs.batch.types import OWN_FOLDER, BatchSettings, ConfigLayers
+from prc_cli.jobs.batch.types import BatchSettings, ConfigLayers
 from tests.patience import HANGS_S
 
 
@@ -89,17 +89,6 @@ def refusals(plan: Plan) -> dict[str, str]:
 # -- decisions
 
 
-def test_content_decides_when_only_the_time_changed(settings):
-    known = entry(settings, "a.npz")
-    os.utime(settings.archive / "a.npz", ns=(1, 10**18))
-    plan = plan_of(settings, known)
-    assert plan.done == ("a.npz",)
-    assert [done.input.mtime_ns for done in plan.confirmed] == [10**18]
-    source = settings.archive / "a.npz"
-    source.write_bytes(b"CONTENT of a.npz")
-    assert reasons(plan_of(settings, known))["a.npz"] == "changed input"
-
-
 def test_a_change_that_keeps_size_and_time_is_found_by_verify(settings):
     known = entry(settings, "a.npz")
     source = settings.archive / "a.npz"
@@ -164,25 +153,6 @@ def test_later_overrides_win_and_presets_lie_below_the_file(tmp_path):
     assert loaded.files == (tmp_path / "archive.toml",)
 
 
-@pytest.mark.parametrize(
-    "text, message",
-    [
-        ("override = 3", "expected tables"),
-        ("override = [3]", "expected tables"),
-        ("[[override]]\nprc.support.zeta_p = 1", "override 1: match: expected a pattern"),
-        ("[[override]]\nmatch = []", "match: expected a pattern"),
-        ("[[override]]\nmatch = ''", "expected a glob"),
-        ("[[override]]\nmatch = '*'\npresett = 'urban'", "override 1: unknown key 'presett'"),
-        ("[[override]]\nmatch = '*'\npreset = 'city'", "expected one of: prc-2019-urban"),
-        ("[[override]]\nmatch = 'never'\n[override.prc.support]\nzeta_q = 1", "did you mean"),
-        ("input = 3", "input"),
-    ],
-)
-def test_wrong_overrides_are_found_before_any_file(tmp_path, text, message):
-    with pytest.raises(ConfigError, match=message):
-        BatchConfig(config_file(tmp_path, text))
-
-
 def test_every_file_has_its_own_trajectory(tmp_path):
     layers = config_file(tmp_path, 'input.range = "trajectory:{folder}/{stem}.csv"\n')
     config = BatchConfig(layers)
@@ -244,57 +214,6 @@ def archive(tmp_path):
         put(folder / name)
     put(folder / ".git" / "c.laz")
     return folder
-
-
-@pytest.mark.parametrize(
-    "include, exclude, expected",
-    [
-        (["*.laz"], [], ["b.laz"]),
-        (["*.LAZ", "*.las"], [], ["a/10.LAZ", "a/2.las"]),
-        (["a/*"], [], ["a/10.LAZ", "a/2.las"]),
-        (["a/**"], [], ["a/10.LAZ", "a/2.las", "a/deep/er/x.csv.gz"]),
-        (["b.laz/**"], [], []),
-        (["**/x*"], [], ["a/deep/er/x.csv.gz"]),
-        (["**/b.laz"], [], ["b.laz"]),
-        (["?.[ln]*"], [], ["a/2.las", "b.laz", "z.npz"]),
-        (["[a-b].laz"], [], ["b.laz"]),
-        (["[c-w].*", "[b-b].*"], [], ["b.laz"]),
-        (["[a-]*.laz", "[z-a].*"], [], []),
-        (["[b-].laz"], [], ["b.laz"]),
-        ([], ["a"], ["b.laz", "z.npz"]),
-        ([], ["deep/"], ["a/10.LAZ", "a/2.las", "b.laz", "z.npz"]),
-        ([], ["a/[!0-9]*/**"], ["a/10.LAZ", "a/2.las", "b.laz", "z.npz"]),
-        (["*.laz"], ["b*"], []),
-    ],
-)
-def test_patterns_choose(
-    archive,
-    include,
-    exclude,
-    expected,
-):
-    assert names(archive, include=tuple(include), exclude=tuple(exclude)) == expected
-
-
-def test_outputs_are_no_inputs(archive):
-    out = archive / "out"
-    put(out / "b.laz")
-    put(out / OWN_FOLDER / "journal.sqlite")
-    put(archive / "old" / OWN_FOLDER / "journal.sqlite")
-    put(archive / "old" / "b.laz")
-    put(archive / "z.npz.labels.npy")
-    assert names(archive, out=out) == [
-        "a/10.LAZ",
-        "a/2.las",
-        "a/deep/er/x.csv.gz",
-        "b.laz",
-        "z.npz",
-    ]
-    reason_of_name = left_out(archive, out=out)
-    assert reason_of_name == {
-        "old/": "the output folder of another batch run",
-        "z.npz.labels.npy": "labels that this program wrote",
-    }
 
 
 @pytest.mark.parametrize("out", [".", "..", "../.", "../archive"])

@@ -11,8 +11,6 @@ import pytest
 
 import prc_cli.core.errors
 import prc_cli.jobs.batch
-from prc_cli.config import load_config
-from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ExitCode
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.scores import GateResult
@@ -20,11 +18,7 @@ from prc_cli.jobs.batch.drift import Alarm, drift
 from prc_cli.jobs.batch.outcomes import Doubted, Failed, Problem
 from prc_cli.jobs.batch.references import BatchEvaluation
 from prc_cli.jobs.batch.report import BatchSummary, write_summary
-from prc_cli.jobs.batch.run import run_batch
-from prc_cli.jobs.batch.types import BatchSettings, ConfigLayers, ReferenceSettings, Shard
-from prc_cli.jobs.classify import classify_ranges
-from tests.jobs.batch.test_run import Scripted, work
-from tests.street import street, write_npz
+from prc_cli.jobs.batch.types import ReferenceSettings, Shard
 
 
 def summary(**changes: object) -> BatchSummary:
@@ -72,52 +66,6 @@ def test_the_file_is_written_whole_and_each_shard_has_its_own(tmp_path):
     # a later run replaces it
     write_summary(summary(out=tmp_path, run="r2"))
     assert json.loads((tmp_path / "summary.json").read_text())["run"] == "r2"
-
-
-@pytest.fixture
-def settings(tmp_path):
-    """Two drives; half of the second one's reference is wrong."""
-    for folder in ("archive", "ref"):
-        (tmp_path / folder).mkdir()
-    for name, seed in (("a", 1), ("b", 2)):
-        image = street(seed=seed)
-        write_npz(tmp_path / "archive" / f"{name}.npz", image)
-        codes = ClassCodes().lookup()[
-            classify_ranges(image, load_config(preset="prc-2019-urban")).labels
-        ]
-        if name == "b":
-            codes[: len(codes) // 2] = np.where(codes[: len(codes) // 2] > 0, 6, 0)
-        np.save(tmp_path / "ref" / f"{name}.npy", codes.ravel())
-    layers = ConfigLayers(preset="prc-2019-urban", options={"input": {"accept_doubts": ["method"]}})
-    reference = ReferenceSettings(tmp_path / "ref", "prc", gates=("accuracy=0.99",))
-    return BatchSettings(
-        tmp_path / "archive", tmp_path / "out", layers, jobs=1, reference=reference, drift=False
-    )
-
-
-@pytest.mark.slow
-def test_a_night_is_told_beside_those_before(settings):
-    summary = run_batch(settings, Scripted(work))
-    assert summary.evaluation is not None
-    page = (settings.out / "report.html").read_text(encoding="utf-8")
-    # the worst file comes first, with its pictures
-    rows = page.partition("Files, worst first")[2]
-    assert 0 < rows.index("<td>b.npz</td>") < rows.index("<td>a.npz</td>")
-    assert page.count("<figure>") == 6
-    assert "2 files classified" in page
-    assert "badge failed" in page
-    assert "<h2>Nights</h2>" not in page
-    run_batch(settings, Scripted(work))
-    page = (settings.out / "report.html").read_text(encoding="utf-8")
-    assert "0 files classified, 2 done before" in page
-    assert "<h2>Nights</h2>" in page
-    nights = json.loads((settings.out / ".prc" / "nights.json").read_text(encoding="utf-8"))
-    assert len(nights) == 2
-    assert nights[0]["f1"] == nights[1]["f1"]
-    # a damaged file of nights begins anew
-    (settings.out / ".prc" / "nights.json").write_text("[")
-    run_batch(settings, Scripted(work))
-    assert len(json.loads((settings.out / ".prc" / "nights.json").read_text(encoding="utf-8"))) == 1
 
 
 ROOT = Path(__file__).resolve().parents[3]
