@@ -10,13 +10,12 @@ import pytest
 from rosbags import rosbag1, rosbag2
 
 from prc_cli.core.classes import Label
-from prc_cli.core.errors import InputError, OutputError
+from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import LabelledBlock, ReadTally
 from prc_cli.core.types import U8
 from prc_cli.formats.bags.containers import Bag
 from prc_cli.formats.bags.labels import CloudCodec
 from prc_cli.formats.bags.read import BagStream
-from prc_cli.formats.input import Input
 from prc_cli.formats.labels import open_codes
 from prc_cli.formats.options import InputConfig
 from tests.formats import common
@@ -162,29 +161,3 @@ def test_an_output_is_compressed_as_the_input_is(tmp_path, out, suffix, packed):
     write(source, out / source.name)
     assert Bag(source).packed == packed
     assert Bag(out / source.name).packed == ("zstd" if packed and suffix != ".bag" else packed)
-
-
-def test_a_recording_in_several_files_is_one_stream(tmp_path):
-    sent = made.lasers(2)
-    folder = tmp_path / "split"
-    folder.mkdir()
-    parts = [made.write_db3(folder / f"rec_{i}.db3", sent[5 * i : 5 * i + 5]) for i in range(3)]
-    listed = "".join(f"    - {part.name}\n" for part in parts)
-    (folder / "metadata.yaml").write_text(
-        f"rosbag2_bagfile_information:\n  relative_file_paths:\n{listed}"
-    )
-
-    def ranges(path: Path) -> Any:
-        blocks = Input.of(path).images(InputConfig()).blocks()
-        return np.concatenate([block.range_m for block in blocks])
-
-    whole = ranges(made.write_db3(tmp_path / "whole.db3", sent))
-    np.testing.assert_array_equal(ranges(folder), whole)
-    # each part is a bag of its own where it is named
-    np.testing.assert_array_equal(ranges(parts[2]), whole[10:])
-    with pytest.raises(OutputError, match="found metadata.yaml"):
-        common.writer(tmp_path / "out.db3", folder)
-    parts[1].unlink()
-    with pytest.raises(InputError) as caught:
-        ranges(folder)
-    assert f"name the file in this bag: {parts[0]}, or {parts[2]}" in caught.value.hint

@@ -3,10 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from prc_cli.core.blocks import join
-from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.bags.read import BagStream
 from prc_cli.formats.options import InputConfig
@@ -30,15 +28,6 @@ def read_parts(
 
 def clean(range_m: np.ndarray) -> np.ndarray:
     return np.where((range_m >= 0.1) & (range_m < 100.0), range_m, np.nan)
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [{"angle_increment": 0.0}, {"angle_min": np.nan}, {"time_increment": np.inf}],
-)
-def test_angles_and_times_that_make_no_grid_are_refused(tmp_path, changes):
-    with pytest.raises(InputError, match="expected finite numbers"):
-        read_parts(tmp_path, [(made.ranges()[0], changes)])
 
 
 def test_a_first_angle_that_is_a_step_off_moves_the_columns(tmp_path):

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from prc_cli.core.blocks import join
-from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.bags.read import BagStream
 from prc_cli.formats.options import InputConfig
@@ -157,52 +156,6 @@ def test_points_without_times_lie_in_columns_of_their_azimuth(tmp_path):
         np.isfinite(block.range_m).sum() + len(block.extra)
         > 0.99 * np.isfinite(shots["range"]).sum()
     )
-
-
-@pytest.mark.parametrize(
-    "names, expected",
-    [
-        (
-            ["x", "y", "z", "intensity"],
-            "/points: has points without ring \\(fields: x, y, z, intensity\\)",
-        ),
-        (["x", "y", "z", "intensity", "tag", "line", "timestamp"], "has points of a Livox"),
-    ],
-)
-def test_clouds_that_cannot_be_read_say_which_field_is_missing(tmp_path, names, expected):
-    kinds = [(name, "u1" if name in ("tag", "line") else "f4") for name in names]
-    cloud = made.cloud(1, made.START_NS, np.ones(5, kinds))
-    sent = made.Sent("/points", made.CLOUD, made.START_NS, cloud)
-    path = made.write_bag(tmp_path / "a.bag", [sent])
-    with pytest.raises(InputError, match=expected) as caught:
-        BagStream(path, InputConfig())
-    assert "not supported" in caught.value.hint
-    with pytest.raises(InputError, match="not supported"):
-        BagStream(path, InputConfig(topic="/points"))
-
-
-def test_fields_of_an_unknown_type_are_refused(tmp_path):
-    sent = messages(made.drive(200))
-    sent[0].message.fields[0].datatype = 99
-    with pytest.raises(InputError, match="has fields of an unknown type"):
-        read_cloud(tmp_path, sent)
-
-
-@pytest.mark.parametrize(
-    "columns_of_a_time, problem",
-    [
-        (1, "each with azimuths all around"),
-        (70, "326 points of a ring share 3 times"),
-        (100, "the points of a ring have one time"),
-    ],
-)
-def test_two_scanners_in_one_cloud_are_refused(tmp_path, columns_of_a_time, problem):
-    drive = made.drive(400, together=True)
-    turned = {**drive, "xyz": drive["xyz"] @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])}
-    both = {name: np.concatenate([values, turned[name]]) for name, values in drive.items()}
-    both["time"] = made.COLUMN_S * (both["column"] // columns_of_a_time * columns_of_a_time)
-    with pytest.raises(InputError, match=problem):
-        read_cloud(tmp_path, messages(both))
 
 
 @pytest.mark.parametrize(
