@@ -27,6 +27,15 @@ def read_cloud(folder: Path, sent: list[made.Sent], **changes: Any) -> tuple[Bag
     return stream, join(list(stream.blocks()))
 
 
+def check_cloud(
+    folder: Path, shots: dict[str, np.ndarray], sent: list[made.Sent], **changes: Any
+) -> tuple[BagStream, ScanBlock]:
+    """Read messages whose every shot must be in its cell."""
+    stream, block = read_cloud(folder, sent, **changes)
+    np.testing.assert_allclose(block.range_m, shots["range"].reshape(-1, 8), rtol=1e-5)
+    return stream, block
+
+
 def in_unit(unit: float, kind: str, *, is_absolute: bool = False) -> Any:
     """Points whose times are stored in another unit."""
 
@@ -59,8 +68,7 @@ def in_unit(unit: float, kind: str, *, is_absolute: bool = False) -> Any:
 )
 def test_the_turn_shows_the_unit_of_the_times(tmp_path, change):
     shots = made.drive(600)
-    _, block = read_cloud(tmp_path, messages(shots, change))
-    np.testing.assert_allclose(block.range_m, shots["range"].reshape(600, 8), rtol=1e-5)
+    _, block = check_cloud(tmp_path, shots, messages(shots, change))
     assert block.time_s is not None
     assert np.ptp(block.time_s) == pytest.approx(0.3, abs=1e-3)
 
@@ -68,8 +76,7 @@ def test_the_turn_shows_the_unit_of_the_times(tmp_path, change):
 def test_the_unit_may_be_told(tmp_path):
     shots = made.drive(400)
     sent = messages(shots, in_unit(1e-6, "f4"))
-    stream, block = read_cloud(tmp_path, sent, time_unit="us")
-    np.testing.assert_allclose(block.range_m, shots["range"].reshape(400, 8), rtol=1e-5)
+    stream, block = check_cloud(tmp_path, shots, sent, time_unit="us")
     assert "in us (input.time_unit)" in stream.info.facts.notes[0]
 
 
@@ -125,8 +132,7 @@ def test_empty_points_may_have_no_time(tmp_path):
             filled[axis][len(points) :] = np.nan
         return filled
 
-    _, block = read_cloud(tmp_path, messages(shots, organised))
-    np.testing.assert_allclose(block.range_m, shots["range"].reshape(400, 8), rtol=1e-5)
+    _, block = check_cloud(tmp_path, shots, messages(shots, organised))
     assert block.tally.n_unplaced == 0
 
 
@@ -136,8 +142,7 @@ def test_a_message_that_comes_twice_is_read_once_and_said(tmp_path):
     again = messages(shots)
     for number, message in enumerate(again):
         message.message.header.seq = number + 7
-    stream, block = read_cloud(tmp_path, [*sent, *again])
-    np.testing.assert_allclose(block.range_m, shots["range"].reshape(600, 8), rtol=1e-5)
+    stream, block = check_cloud(tmp_path, shots, [*sent, *again])
     assert stream.info.facts.repeated.startswith("3 of 6 messages")
     assert block.tally.n_records == 2 * np.isfinite(shots["range"]).sum()
 
@@ -169,6 +174,7 @@ def test_points_without_times_lie_in_columns_of_their_azimuth(tmp_path):
 )
 def test_numbers_of_rings_may_have_gaps(tmp_path, numbers, note):
     drive = made.drive(400, together=True)
-    stream, block = read_cloud(tmp_path, messages({**drive, "ring": numbers[drive["ring"]]}))
-    np.testing.assert_allclose(block.range_m, drive["range"].reshape(400, 8), rtol=1e-5)
+    stream, block = check_cloud(
+        tmp_path, drive, messages({**drive, "ring": numbers[drive["ring"]]})
+    )
     assert note in " ".join(stream.info.facts.notes)
