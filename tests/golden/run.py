@@ -18,6 +18,7 @@ import tempfile
 import time
 from collections.abc import Callable, Collection
 from concurrent.futures import ProcessPoolExecutor
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -139,6 +140,7 @@ STEPS: dict[str, Callable[..., object]] = {
     "@misread": inputs.make_misread,
     "@doubtful": inputs.make_doubtful,
     "@stored": inputs.make_stored,
+    "@odd": lambda name: getattr(import_module("tests.golden.odd_files"), name)(),
     "@cp": _copy,
     "@cut": lambda path, n: os.truncate(path, int(n)),
     "@half": lambda path: os.truncate(path, Path(path).stat().st_size // 2),

@@ -76,7 +76,7 @@ def test_the_turn_shows_the_unit_of_the_times(tmp_path, change):
 def test_the_unit_may_be_told(tmp_path):
     shots = made.drive(400)
     sent = messages(shots, in_unit(1e-6, "f4"))
-    stream, block = check_cloud(tmp_path, shots, sent, time_unit="us")
+    stream, _ = check_cloud(tmp_path, shots, sent, time_unit="us")
     assert "in us (input.time_unit)" in stream.info.facts.notes[0]
 
 
@@ -174,7 +174,5 @@ def test_points_without_times_lie_in_columns_of_their_azimuth(tmp_path):
 )
 def test_numbers_of_rings_may_have_gaps(tmp_path, numbers, note):
     drive = made.drive(400, together=True)
-    stream, block = check_cloud(
-        tmp_path, drive, messages({**drive, "ring": numbers[drive["ring"]]})
-    )
+    stream, _ = check_cloud(tmp_path, drive, messages({**drive, "ring": numbers[drive["ring"]]}))
     assert note in " ".join(stream.info.facts.notes)
