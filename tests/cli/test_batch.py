@@ -110,10 +110,8 @@ def test_retry_obeys_nobody_else_and_no_nonsense(
         True,
     )
     command.chmod(0o600)
-    for content in (b"[" * 200_000, b"x" * (2 << 20), b"\xff"):
-        command.write_bytes(content)
-        result = prc("retry", "out")
-        assert (result.code, "type the whole command again" in result.err) == (2, True)
+    command.write_bytes(b"\xff")
+    assert "type the whole command again" in prc("retry", "out").err
     command.unlink()
     os.mkfifo(command, 0o600)
     assert prc("retry", "out").code == 2
@@ -265,27 +263,46 @@ def test_exit_codes(
     assert (last["event"], last["exit_code"]) == ("run_end", code)
 
 
+CLASSES = f"""\
+{"classes of 1 file":^29}
+┏━━━━━━━━━┳━━━━━━━━━┳━━━━━━━┓
+┃ class   ┃   shots ┃ share ┃
+┡━━━━━━━━━╇━━━━━━━━━╇━━━━━━━┩
+│ missing │ 250,000 │       │
+│ noise   │ 250,000 │ 33.3% │
+│ ground  │ 500,000 │ 66.7% │
+└─────────┴─────────┴───────┘
+"""
+PLAN = "0 files to do, 2 at a time with 1 threads each\n"
+DONE = "[-] done a.laz: 1,000,000 shots in 2.0 s, 0.5 M/s\n"
+SPEED = "in 10.0 s; 1,000,000 shots, 0.1 million a second\n"
+
+
 def test_quiet_says_what_is_wrong_and_nothing_else(prc, play):
     play(Noted("took over a lock"), done("a.laz"), failed("b.laz"), ALARM, failed("c.laz"))
-    lines = prc("a", "o", "--quiet").err.splitlines()
-    assert lines[0].endswith("failed b.laz: is cut short; copy it again")
-    assert lines[1] == "alarm b.laz: ground 1 %, usually 40 %"
-    assert lines[2].endswith("failed c.laz: is cut short; copy it again")
-    assert lines[3].startswith(
-        "1 done, 2 failed, 1 alarm of 3 in 10.0 s; 1,000,000 shots, 0.1 million"
+    wrong = """\
+[-] failed b.laz: is cut short; copy it again
+alarm b.laz: ground 1 %, usually 40 %
+[-] failed c.laz: is cut short; copy it again
+"""
+    end = f"1 done, 2 failed, 1 alarm of 3 {SPEED}"
+    begin = "note: took over a lock\n" + DONE
+    assert prc("a", "o", "--quiet").err == wrong + end
+    assert prc("a", "o").err == begin + wrong + CLASSES + end
+    assert prc("a", "o", "-v").err == (
+        PLAN + begin + "note a.laz: a note\n" + wrong + CLASSES + end
     )
-    assert len(lines) == 4
 
 
-@pytest.mark.parametrize("options", [(), ("-q",), ("-v",)])
-def test_doubts_are_told_quiet_or_not(prc, play, options):
+def test_doubts_are_told_quiet_or_not(prc, play):
     play(replace(done("a.laz"), notices=("a note", "doubt units: odd; check the unit")), DOUBTED)
-    result = prc("a", "o", "--log-json", "log", *options)
-    warning = "warning: a.laz: units: odd; check the unit; or --accept-doubt units"
-    assert result.err.splitlines().count(warning) == 1
-    assert "1 done, 1 with warnings of 1 in 10.0 s" in result.err
-    assert "note a.laz: doubt" not in result.err
-    assert ("1 file with warnings (units 1)" in result.err) == ("-q" not in options)
+    warning = "warning: a.laz: units: odd; check the unit; or --accept-doubt units\n"
+    where = "1 file with warnings (units 1); all are in summary.json and prc batch status\n"
+    end = f"1 done, 1 with warnings of 1 {SPEED}"
+    assert prc("a", "o", "--quiet").err == warning + end
+    assert prc("a", "o").err == DONE + warning + CLASSES + where + end
+    result = prc("a", "o", "-v", "--log-json", "log")
+    assert result.err == (PLAN + DONE + "note a.laz: a note\n" + warning + CLASSES + where + end)
     events = [json.loads(line) for line in Path("log").read_bytes().splitlines()]
     assert [event["check"] for event in events if event["event"] == "doubt"] == ["units"]
     assert events[-1]["doubted"] == 1
@@ -376,17 +393,30 @@ def test_status_tells_what_runs_from_what_was_interrupted(tmp_path, capsys):
     runs = [replace(ended, owner=str(owner), exit_code=None) for owner in (here, gone)]
     holders = [Holder(tmp_path, here, alive=True), Holder(tmp_path, gone, alive=False)]
     print_status(tmp_path, entries, [ended, *runs], holders)
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].endswith("3 files: 1 done, 1 running, 1 interrupted")
-    assert lines[1] == f"running now: {here}"
-    rows = [line.split("│")[-3:-1] for line in lines if line.count("│") > 5]
-    ended_as = [(code.strip(), counts.strip()) for code, counts in rows]
-    assert ended_as[-3:] == [("4", "7 done"), ("running", "7 done"), ("interrupted", "7 done")]
-    assert lines[-2:] == [
-        "running b.las (since 2026-01-01 00:00:00)",
-        "interrupted c.las (since 2026-01-01 00:00:00, 3 attempts)",
-    ]
+    assert (
+        capsys.readouterr().out
+        == f"""\
+{tmp_path}: 3 files: 1 done, 1 running, 1 interrupted
+running now: {here}
+{"last runs":^64}
+┏━━━━━━━━━━━━━━━━━━━━━┳━━━━━━━┳━━━━━━━━━┳━━━━━━━━━━━━━┳━━━━━━━━┓
+┃ start (UTC)         ┃ shard ┃ version ┃ exit code   ┃ counts ┃
+┡━━━━━━━━━━━━━━━━━━━━━╇━━━━━━━╇━━━━━━━━━╇━━━━━━━━━━━━━╇━━━━━━━━┩
+│ 2026-01-01 00:00:00 │ -     │ 1.2     │ 4           │ 7 done │
+│ 2026-01-01 00:00:00 │ -     │ 1.2     │ running     │ 7 done │
+│ 2026-01-01 00:00:00 │ -     │ 1.2     │ interrupted │ 7 done │
+└─────────────────────┴───────┴─────────┴─────────────┴────────┘
+running b.las (since 2026-01-01 00:00:00)
+interrupted c.las (since 2026-01-01 00:00:00, 3 attempts)
+"""
+    )
     print_status(tmp_path, entries, [], holders[1:])
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].endswith("3 files: 1 done, 2 interrupted")
-    assert lines[1] == "no run is active"
+    assert (
+        capsys.readouterr().out
+        == f"""\
+{tmp_path}: 3 files: 1 done, 2 interrupted
+no run is active
+interrupted b.las (since 2026-01-01 00:00:00)
+interrupted c.las (since 2026-01-01 00:00:00, 3 attempts)
+"""
+    )
