@@ -4,10 +4,10 @@ import re
 
 MOST_LINES = 3
 LONGEST_LINE = 160
-"""Longest line of a message, without paths and lists of choices [characters]."""
+"""Longest line of a message, without paths, lists of choices and options to type [characters]."""
 _FIRST = re.compile(r"(error|warning): |(\[[-\d/]+\] )?(failed|not compared|left out) ")
 _NEXT = re.compile(r"  \S")
-_AS_LONG_AS_IT_IS = re.compile(r"\S*/\S*|(?<= one of).*")
+_AS_LONG_AS_IT_IS = re.compile(r"\S*/\S*|(?<= one of).*|(?<=it has: ).*|--set .*")
 
 
 def messages(err: str) -> list[list[str]]:

@@ -41,6 +41,24 @@ def test_this_installation_is_sound_from_end_to_end(prc, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_every_check_is_a_line_and_says_what_to_do(prc, monkeypatch):
+    made = [Check("memory", "ok", "8 GiB"), Check("locks in it", "bad", "none", "another disk")]
+    monkeypatch.setattr(doctor, "examine", lambda *_, **__: made)
+    wrong = """\
+bad   locks in it       none
+                        -> another disk
+"""
+    whole = f"ok    memory            8 GiB\n{wrong}"
+    assert prc("doctor") == (1, whole, "1 ok, 0 warn, 1 bad\n")
+    assert prc("doctor -q") == (1, wrong, "")
+    names = ("name", "status", "found", "hint", "details")
+    rows = [("memory", "ok", "8 GiB", "", {}), ("locks in it", "bad", "none", "another disk", {})]
+    assert prc.json("doctor") == {
+        "counts": {"ok": 1, "warn": 0, "bad": 1},
+        "checks": [dict(zip(names, row, strict=True)) for row in rows],
+    }
+
+
 def test_bounds_come_from_the_installed_metadata():
     details = checks()["packages"].details
     for text in metadata.requires("prc-cli") or []:

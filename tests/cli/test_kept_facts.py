@@ -58,34 +58,6 @@ def test_points_of_static_scans_keep_their_place(prc, tmp_path):
     assert "positions of the scans (6500, 4500, 120 m for the first)" in result.out + result.err
 
 
-def test_clouds_keep_their_header_or_tell(prc, tmp_path):
-    shape = np.arange(IMAGE.size).reshape(IMAGE.shape)
-    rows = np.full(
-        IMAGE.size,
-        np.nan,
-        [("x", "f4"), ("y", "f4"), ("z", "f4"), ("range", "f4"), ("normal", "f4", 2)],
-    )
-    rows["x"] = 0.2 * (shape // IMAGE.shape[1]).ravel()
-    rows["range"] = IMAGE.ravel()
-    rows["y"] = (IMAGE * np.sin(angles())).ravel()
-    rows["z"] = (-IMAGE * np.cos(angles())).ravel()
-    head = (
-        "VERSION 0.7\nFIELDS x y z range normal\nSIZE 4 4 4 4 4\nTYPE F F F F F\nCOUNT 1 1 1 1 2\n"
-    )
-    head += (
-        f"WIDTH {IMAGE.shape[1]}\nHEIGHT {len(IMAGE)}\nVIEWPOINT 1 2 3 1 0 0 0\nPOINTS "
-        f"{IMAGE.size}\nDATA binary\n"
-    )
-    (tmp_path / "a.pcd").write_bytes(head.encode() + rows.tobytes())
-    result = prc(f"classify {tmp_path}/a.pcd {tmp_path}/b.pcd {OPTIONS}")
-    assert result.code in (0, 4), result.err
-    written = (tmp_path / "b.pcd").read_bytes()[:900].decode("latin-1").splitlines()
-    assert {f"WIDTH {IMAGE.shape[1]}", f"HEIGHT {len(IMAGE)}", "VIEWPOINT 1 2 3 1 0 0 0"} <= set(
-        written
-    )
-    assert "not kept: field normal as one field" in result.err
-
-
 def test_other_elements_of_a_ply_are_told(prc, tmp_path):
     cloud = plyfile.PlyData.read(ply(tmp_path / "points.ply"))
     source = tmp_path / "a.ply"

@@ -7,6 +7,7 @@ import pytest
 
 from tests.golden.cases import all_cases
 from tests.golden.run import GOLDEN, differences, needed, run
+from tests.messages import check_messages
 
 KEPT = json.loads(GOLDEN.read_text(encoding="utf-8"))
 
@@ -42,6 +43,11 @@ def test_no_case_is_a_mistake_of_its_own():
     assert [
         name for name, case in KEPT.items() if any(word in case["exit"] for word in broken)
     ] == []
+
+
+def test_messages_are_short():
+    for case in KEPT.values():
+        check_messages(case.get("stderr", ""))
 
 
 def test_one_bit_is_seen():
