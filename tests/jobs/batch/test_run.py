@@ -2,15 +2,13 @@
 
 import json
 import os
-import shutil
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from prc_cli.core.errors import BusyError, ConfigError, InputError, PrcError
+from prc_cli.core.errors import BusyError, PrcError
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.jobs.batch import run as batch_run
 from prc_cli.jobs.batch.engine import EngineSettings, Event, Started
@@ -23,7 +21,6 @@ from prc_cli.jobs.batch.types import (
     OWN_FOLDER,
     BatchSettings,
     ConfigLayers,
-    ReferenceSettings,
     Task,
 )
 from prc_cli.jobs.batch.worker import run_task
@@ -219,25 +216,6 @@ def test_a_lost_lock_stops_the_run(settings, monkeypatch):
     assert len(engine.begun) == 2
 
 
-@pytest.mark.parametrize(
-    "wrong", ["config", "archive", "out", "since", "pattern", "reference", "to"]
-)
-def test_nothing_is_made_when_something_is_wrong(settings, tmp_path, wrong):
-    changes: dict[str, Any] = {
-        "config": {"config": ConfigLayers(options={"prc": {"nothing": 1}})},
-        "archive": {"archive": tmp_path / "nothing"},
-        "out": {"out": settings.archive},
-        "since": {"since": "soon"},
-        "pattern": {"include": ("",)},
-        "to": {"to": "tif"},
-        "reference": {"reference": ReferenceSettings(tmp_path / "nothing")},
-    }
-    with pytest.raises((ConfigError, InputError)):
-        run_batch(replace(settings, **changes[wrong]), Scripted())
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["in"]
-    assert len(list(settings.archive.iterdir())) == 4
-
-
 def test_the_exit_code_is_that_of_the_archive(settings):
     """A failure or a doubt stands until its file is done, whatever a later run looks at."""
     odd = Finding("units", Verdict.DOUBTFUL, "the scanner is 9 m up", "at most 5 m")
@@ -372,32 +350,3 @@ def test_workers_that_cannot_be_started_leave_files_to_the_next_run(
 
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals")
-
-
-def test_outputs_of_another_archive_are_not_replaced(settings, tmp_path):
-    run_batch(settings, Scripted())
-    before = {path.name: path.read_bytes() for path in settings.out.iterdir() if path.is_file()}
-    archive = tmp_path / "other"
-    shutil.copytree(settings.archive, archive)
-    moved = run_batch(replace(settings, archive=archive), Scripted())
-    assert (moved.exit_code, moved.n_skipped) == (0, 4), (
-        "the same files in another place are the same"
-    )
-    (archive / "b.npz").write_bytes(b"of another drive")
-    (archive / "e.npz").write_bytes(b"new")
-    engine = Scripted()
-    second = run_batch(replace(settings, archive=archive), engine)
-    assert second.exit_code == 1
-    assert [name for name, _ in engine.begun] == ["e.npz"]
-    assert [item.name for item in second.failed] == ["b.npz"]
-    assert (
-        f"was made of {(settings.archive / 'b.npz').resolve()}" in second.failed[0].problem.problem
-    )
-    outputs = {path.name: path.read_bytes() for path in settings.out.iterdir() if path.is_file()}
-    assert {name: outputs[name] for name in before if name.startswith("b.npz")} == {
-        name: content for name, content in before.items() if name.startswith("b.npz")
-    }
-    third = run_batch(replace(settings, archive=archive, overwrite=True), Scripted())
-    assert third.exit_code == 0
-    fourth = run_batch(replace(settings, archive=archive), Scripted())
-    assert (fourth.exit_code, fourth.n_skipped) == (0, 5)

@@ -1,8 +1,5 @@
 """Places where two labellings differ: planted errors, files, pictures, commands."""
 
-import csv
-import json
-
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -11,13 +8,11 @@ from prc_cli.core.errors import ConfigError
 from prc_cli.core.types import I64
 from prc_cli.evaluation.places import (
     Differing,
-    Place,
+    ListedPlace,
     PlaceFinder,
     Places,
     best_first,
     place_rows,
-    places_csv,
-    places_geojson,
 )
 from prc_cli.jobs.evaluate import evaluate_all
 from prc_cli.jobs.evaluate.options import EvaluateOptions
@@ -127,28 +122,8 @@ def test_lines_and_columns_make_places_of_one_file_each():
     assert [(place.file, place.n_records) for place in places] == [(0, 120), (1, 120)]
     assert [(place.first_line, place.last_line) for place in places] == [(0, 2), (3, 5)]
     assert places[0].confidence is None
-    row = place_rows(listed(places))[0]
+    row = place_rows(Places((ListedPlace(places[0], "a.las", "a rule", "prc"),), 7, None))[0]
     assert (row["x"], row["length_m"], row["reason"]) == (None, None, None)
-
-
-def listed(places: list[Place], crs: str | None = None) -> Places:
-    from prc_cli.evaluation.places import ListedPlace
-
-    return Places(tuple(ListedPlace(place, "a.las", "a rule", "prc") for place in places), 7, crs)
-
-
-def test_files_say_the_same_and_name_the_coordinate_system():
-    finder = PlaceFinder(in_space=True)
-    finder.add(differing(3000))
-    places = listed(best_first(finder.places(NAMES, NAMES)), "EPSG:25832")
-    table = json.loads(places_geojson(places))
-    assert table["crs"]["properties"]["name"] == "urn:ogc:def:crs:EPSG::25832"
-    rows = list(csv.DictReader(places_csv(places).splitlines()))
-    for feature, row, values in zip(table["features"], rows, place_rows(places), strict=True):
-        assert feature["properties"] == values
-        assert feature["geometry"]["coordinates"] == [values["x"], values["y"], values["z"]]
-        assert {name: "" if value is None else str(value) for name, value in values.items()} == row
-    assert "crs" not in json.loads(places_geojson(listed([])))
 
 
 def test_labels_alone_have_places_by_line_and_pictures(tmp_path):

@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-import laspy
 import numpy as np
 import pytest
 
@@ -206,17 +205,3 @@ def test_every_shot_finds_its_own_point(drive, poses):
     n = int(np.isfinite(np.load(drive / "drive.npz")["range_m"]).sum())
     assert scores["match"]["n_matched"] == n
     assert scores["classes"]["ground"]["f1"] == scores["classes"]["building"]["f1"] == 1.0
-
-
-def test_transfer_places_the_shots_too(drive, tmp_path):
-    out = tmp_path / "out.laz"
-    las = laspy.read(drive / "registered.laz")
-    truth = np.array(las.classification)
-    las.classification[:] = 1
-    las.write(tmp_path / "blank.laz")
-    command = f"transfer {drive}/labels.npy {tmp_path}/blank.laz {out} --match nearest -q --json"
-    command += f" --points {drive}/drive.npz --trajectory {drive}/poses.csv --mount {MOUNT}"
-    done = runner().invoke(cli, command.split())
-    assert done.exit_code == 0, done.output
-    np.testing.assert_array_equal(laspy.read(out).classification, truth)
-    assert json.loads(done.stdout)["config"]["transfer"]["trajectory"] == "poses.csv"
