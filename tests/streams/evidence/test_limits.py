@@ -85,9 +85,7 @@ def test_shot_order(shot, ratio, verdict):
 def folds(monkeypatch):
     """How alike lines far apart are with every length that is tried; no other may be."""
     likeness = dict.fromkeys(LENGTHS, 0.6)
-    monkeypatch.setattr(
-        lines, "fold", lambda _, points_per_line: likeness.get(points_per_line, 0.6)
-    )
+    monkeypatch.setattr(lines, "fold", lambda _, points_per_line: likeness[points_per_line])
     monkeypatch.setattr(
         lines,
         "estimate_points_per_line",

@@ -61,7 +61,8 @@ def test_a_path_reaches_from_the_first_point_to_the_last():
     np.testing.assert_allclose(path.xyz_m[:, 0], 2.0 * path.time_s)
     # only beyond the windows is it uncertain
     assert (path.sigma_m > 0)[:, 0].tolist() == [True, *6 * [False], True]
-    assert path.sigma_m[-1, 0] == pytest.approx(4 * path.sigma_m[0, 0])
+    # there the speed may change by 4 m/s2
+    assert path.sigma_m[[0, -1], 0] == pytest.approx([0.5, 2.0])
     inside = _PassCounts([time_s], [station], axis=[axis], points_s=[2.0, 4.0]).path(0, 0)
     assert inside.time_s.tolist() == [2.0, 3.0, 4.0]
 
