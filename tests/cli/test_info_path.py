@@ -37,6 +37,7 @@ def cloud(tmp_path_factory, corridor):
 
 def test_what_was_found_is_said(prc, cloud):
     result = prc(f"info {cloud} --range points")
+    assert "\npath " in result.out
     said = " ".join(result.out.split())
     for words in (
         "m/s (median)",
@@ -180,7 +181,9 @@ def test_two_passes_are_one_path_with_a_gap(prc, tmp_path, monkeypatch):
     assert "gap" not in again["problem"]
     assert "outside" not in again["problem"]
     monkeypatch.setattr("prc_cli.cli.info.MOST_SHOWN", 1)
-    assert "and 1 more" in prc(f"info {cloud} --range points").out
+    out = prc(f"info {cloud} --range points").out
+    assert "\npass 0 " in out
+    assert "and 1 more" in out
 
 
 def test_a_clock_that_differs_is_measured_and_the_command_that_mends_it_works(
