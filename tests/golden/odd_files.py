@@ -481,6 +481,7 @@ def bags() -> None:
     """Write bags of laser scans, of clouds, and of both."""
     lasers = bag.lasers(2)
     bag.write_bag(Path("lasers.bag"), bag.lasers(1))
+    bag.write_bag(Path("talk.bag"), bag.strings(1))
     bag.write_mcap(Path("lasers.mcap"), lasers)
     bag.write_mcap(Path("clouds.mcap"), bag.clouds(bag.drive(120)), "zstd")
     of_cloud = bag.lasers(2, "/of_cloud", "velodyne")
@@ -514,6 +515,8 @@ def odd_bags() -> None:
         ("no-time", 0, {"time_increment": np.inf}),
         ("wide", 12, {"angle_increment": 0.2}),
         ("back", 12, {"angle_increment": -3 / 39}),
+        ("dim", 12, {"intensities": np.ones(3, "f4")}),
+        ("dark", 0, {"intensities": np.ones(0, "f4")}),
     ):
         scan = bag.laser(bag.STORES[1], after_ns, bag.ranges()[0], **changes)
         odd = bag.Sent("/scan", lasers[0].kind, after_ns, scan)
