@@ -444,7 +444,7 @@ def fragments() -> None:
     """Write packets of IPv6 in two fragments each, all of them and without the last one."""
     parts = []
     for number, body in enumerate(map(packet.udp, packet.vlp16(6))):
-        for first, part in ((0, body[:800]), (800, body[800:])):
+        for first, part in ((0, body[:808]), (808, body[808:])):
             head = struct.pack(">BBHI", 17, 0, first | (first == 0), number)
             whole = bytearray(packet.ip6(head + part))
             whole[6] = 44
