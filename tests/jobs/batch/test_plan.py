@@ -85,16 +85,6 @@ def reasons(plan: Plan) -> dict[str, str]:
 # -- decisions
 
 
-def test_a_change_that_keeps_size_and_time_is_found_by_verify(settings):
-    known = entry(settings, "a.npz")
-    source = settings.archive / "a.npz"
-    times = source.stat()
-    source.write_bytes(b"CONTENT of a.npz")
-    os.utime(source, ns=(times.st_atime_ns, times.st_mtime_ns))
-    assert plan_of(settings, known).done == ("a.npz",)
-    assert reasons(plan_of(replace(settings, verify=True), known))["a.npz"] == "changed input"
-
-
 def test_an_output_that_was_refused_before_is_no_more_ours(settings):
     output(settings, "a.npz").write_bytes(b"by hand")
     refused = entry(settings, "a.npz", "failed", owns_output=False)
