@@ -4,10 +4,12 @@ import re
 
 MOST_LINES = 3
 LONGEST_LINE = 160
-"""Longest line of a message, without paths, lists of choices and options to type [characters]."""
+"""Longest line of a message without paths, lists, options and keys to type [characters]."""
 _FIRST = re.compile(r"(error|warning): |(\[[-\d/]+\] )?(failed|not compared|left out) ")
 _NEXT = re.compile(r"  \S")
-_AS_LONG_AS_IT_IS = re.compile(r"\S*/\S*|(?<= one of).*|(?<=it has: ).*|--set .*")
+_AS_LONG_AS_IT_IS = re.compile(
+    r"\S*/\S*|(?<= one of).*|(?<=it has: ).*|(?:[^,]+, ){5,}.*|--set .*|--\S+ [A-Z,]+|\w+ = .*"
+)
 
 
 def messages(err: str) -> list[list[str]]:

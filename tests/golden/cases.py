@@ -1,7 +1,4 @@
-"""The table of cases: a name, and its commands.
-
-Commands are separated by `` . ``. ``STEPS`` lists those that start with ``@``.
-"""
+"""The cases: a name, and its commands. ``STEPS`` lists the commands that start with ``@``."""
 
 import shlex
 from collections.abc import Iterator
@@ -70,37 +67,55 @@ COMMANDS = (
 )
 
 
-TABLE = Path(__file__).with_name("cases.txt")
+NAMES = {
+    "{CSV}": CSV,
+    "{LAS}": LAS,
+    "{BARE}": BARE,
+    "{STREET}": STREET,
+    "{M}": M,
+    "{TIMES}": TIMES,
+}
+"""Short names in the tables."""
+
+TABLES = Path(__file__).with_name("tables")
 
 
-def all_cases() -> dict[str, str]:
-    """Return commands by name, in the order of the table."""
-    cases = [tuple(line.split(" | ", 1)) for line in _table()]
-    cases += [*_tables(), *_damaged()]
-    assert len(dict(cases)) == len(cases)  # type: ignore[arg-type]
-    return dict(cases)  # type: ignore[arg-type]
+def all_cases() -> dict[str, list[str]]:
+    """Return the commands of every case by its name."""
+    cases = [case for path in sorted(TABLES.glob("*.txt")) for case in _read(path).items()]
+    cases += [(name, commands.split(" ; ")) for name, commands in (*_tables(), *_damaged())]
+    assert len(dict(cases)) == len(cases)
+    return dict(cases)
+
+
+def words_of(command: str) -> list[str]:
+    """Split a command as a shell does; the lines below ``@py`` are one word."""
+    first, _, program = command.partition("\n")
+    return [first, program] if first == "@py" else shlex.split(command)
 
 
 def programs() -> list[str]:
     """Return the Python of the cases, which ``tests/measure.py`` counts like any other."""
-    steps = (shlex.split(step) for case in all_cases().values() for step in case.split(" ; "))
-    return [words[1] for words in steps if words[0] == "@py"]
+    commands = (words_of(command) for case in all_cases().values() for command in case)
+    return [words[1] for words in commands if words[0] == "@py"]
 
 
-def _table() -> Iterator[str]:
-    """Yield the lines of ``cases.txt`` with the short names put in."""
-    names = {
-        "{CSV}": CSV,
-        "{LAS}": LAS,
-        "{BARE}": BARE,
-        "{STREET}": STREET,
-        "{M}": M,
-        "{TIMES}": TIMES,
-    }
-    for line in TABLE.read_text(encoding="utf-8").splitlines():
-        for name, text in names.items():
-            line = line.replace(name, text)
-        yield line
+def _read(path: Path) -> dict[str, list[str]]:
+    """Read a table: a name, its commands with 4 blanks, what continues them with 8."""
+    text = path.read_text(encoding="utf-8")
+    for name, words in NAMES.items():
+        text = text.replace(name, words)
+    cases: dict[str, list[str]] = {}
+    commands: list[str] = []
+    for line in filter(str.strip, text.splitlines()):
+        if line.startswith(" " * 8):
+            commands[-1] += "\n" + line[8:]
+        elif line.startswith(" " * 4):
+            commands.append(line.strip())
+        else:
+            assert line not in cases, line
+            commands = cases[line] = []
+    return cases
 
 
 def _tables() -> Iterator[tuple[str, str]]:

@@ -10,7 +10,6 @@ import json
 import multiprocessing
 import os
 import re
-import shlex
 import shutil
 import sqlite3
 import sys
@@ -27,11 +26,11 @@ import numpy as np
 
 from tests.conftest import data_folder
 from tests.golden import inputs
-from tests.golden.cases import EXIT_CODE_ONLY, ONE_LINE_A_FILE, all_cases
+from tests.golden.cases import EXIT_CODE_ONLY, ONE_LINE_A_FILE, all_cases, words_of
 from tests.golden.inputs import ROOT, answer, make
 
 GOLDEN = Path(__file__).with_name("golden.json")
-SHORT = 400
+SHORT = 1_000
 """Printed text of so many characters is kept as it is, longer text as its hash."""
 TOLD = {"TERM": "dumb", "PYTHONWARNINGS": "ignore", "SOURCE_DATE_EPOCH": "0"}
 # last digits of NumPy's sines and of OpenBLAS's products are others with AVX-512: every machine
@@ -87,8 +86,10 @@ def digest(data: bytes | str) -> str:
     ).hexdigest()
 
 
-def text_or_digest(text: str) -> str:
-    return text if len(text) <= SHORT else f"sha256 {digest(text)}, {text.count(chr(10))} lines"
+def lines_or_digest(text: str) -> list[str] | str:
+    if len(text) <= SHORT:
+        return text and text.split("\n")
+    return f"sha256 {digest(text)}, {text.count(chr(10))} lines"
 
 
 def digest_of_file(path: Path, folder: Path) -> str:
@@ -210,7 +211,7 @@ def run_step(words: list[str], folder: Path) -> tuple[int, str, str]:
     return shown, plain(out_text, folder), plain(contents[1].decode(), folder)  # type: ignore[return-value]
 
 
-def run_case(name: str, commands: str, folder: str) -> tuple[str, Result, float]:
+def run_case(name: str, commands: list[str], folder: str) -> tuple[str, Result, float]:
     """Run the commands of a case in its own folder."""
     from prc_cli.cli import report
 
@@ -222,8 +223,8 @@ def run_case(name: str, commands: str, folder: str) -> tuple[str, Result, float]
     codes = []
     out = ""
     err = ""
-    for command in commands.split(" ; "):
-        step = shlex.split(command.replace("$DATA", "../data").replace("$REPO", "../repo"))
+    for command in commands:
+        step = words_of(command.replace("$DATA", "../data").replace("$REPO", "../repo"))
         code, more_out, more_err = run_step(step, Path(folder))
         out = out + more_out
         err = err + more_err
@@ -233,7 +234,7 @@ def run_case(name: str, commands: str, folder: str) -> tuple[str, Result, float]
     if not name.startswith(EXIT_CODE_ONLY):
         for suffix, text in (("out", out), ("err", err)):  # to look at, with --folder
             Path(folder, f"{name}.{suffix}").write_text(text, encoding="utf-8")
-        result |= {"stdout": text_or_digest(out), "stderr": text_or_digest(err)}
+        result |= {"stdout": lines_or_digest(out), "stderr": lines_or_digest(err)}
         files = sorted(
             path
             for path in place.rglob("*")
@@ -253,14 +254,14 @@ def run_case(name: str, commands: str, folder: str) -> tuple[str, Result, float]
     return name, result, time.monotonic() - begun
 
 
-def needed(cases: dict[str, str], chosen: Collection[str]) -> dict[str, int]:
+def needed(cases: dict[str, list[str]], chosen: Collection[str]) -> dict[str, int]:
     """Return the chosen cases and those whose files they read, with how many cases lie before
     them."""
     depth: dict[str, int] = {}
 
     def visit(name: str) -> int:
         if name not in depth:
-            others = {case for case in re.findall(r"\.\./([\w.-]+)/", cases[name]) if case != name}
+            others = set(re.findall(r"\.\./([\w.-]+)/", " ".join(cases[name]))) - {name}
             depth[name] = 1 + max(map(visit, others), default=-1)
         return depth[name]
 
@@ -284,7 +285,9 @@ def run(
     chosen = [
         name for name in cases if (name in only if exact else any(part in name for part in only))
     ]
-    skipped = [name for name in chosen if "$DATA" in cases[name] and not data_folder().is_dir()]
+    skipped = [
+        name for name in chosen if "$DATA" in " ".join(cases[name]) and not data_folder().is_dir()
+    ]
     depth = needed(cases, [name for name in chosen if name not in skipped])
     place = folder or Path(tempfile.mkdtemp(prefix="prc-golden-"))
     results: dict[str, Result] = {}
@@ -313,6 +316,10 @@ def run(
     return {name: results[name] for name in chosen if name in results}, skipped
 
 
+def lines_of(kept: list[str] | str) -> list[str]:
+    return kept if isinstance(kept, list) else kept.splitlines()
+
+
 def differences(kept: dict[str, Result], results: dict[str, Result]) -> list[str]:
     """Return a line for everything that is not as it was kept."""
     lines = []
@@ -327,7 +334,7 @@ def differences(kept: dict[str, Result], results: dict[str, Result]) -> list[str
         for key in sorted((old.keys() | new.keys()) - {"files"}):
             if old.get(key) != new.get(key):
                 lines.append(f"{name}: {key}")
-                before, after = (str(item.get(key, "nothing")).splitlines() for item in (old, new))
+                before, after = (lines_of(item.get(key, "nothing")) for item in (old, new))
                 lines += [
                     f"    {row}" for row in difflib.unified_diff(before, after, lineterm="", n=0)
                 ][2:]
@@ -344,7 +351,8 @@ def main() -> int:
     parser.add_argument("--folder", type=Path, help="new folder, which is kept")
     options = parser.parse_args()
     if options.what == "list":
-        print("\n".join(f"{name}\t{commands}" for name, commands in all_cases().items()))
+        for name, commands in all_cases().items():
+            print(name, *commands, sep="\n    ")
         return 0
     if options.folder:
         options.folder.mkdir(parents=True)
