@@ -305,6 +305,17 @@ def test_a_row_that_makes_no_sense_is_damage(folder, change):
         read_entries(folder)
 
 
+@pytest.mark.parametrize("change", ["exit_code = 'well'", "finished = x'ff'", "totals = '['"])
+def test_a_run_that_makes_no_sense_is_damage(folder, change):
+    with Journal(folder) as journal:
+        journal.begin_run("me")
+        journal.end_run(0, {"done": 10})
+    with contextlib.closing(sqlite3.connect(folder / "journal.sqlite")) as database, database:
+        database.execute(f"UPDATE runs SET {change}")
+    with pytest.raises(OutputError, match="a row makes no sense"):
+        read_runs(folder)
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
 def test_a_pipe_in_its_place_stops_nobody(folder):
     folder.mkdir(parents=True)
