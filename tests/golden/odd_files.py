@@ -337,15 +337,15 @@ def piped() -> None:
 
 def ptx() -> None:
     """Write scans as PTX."""
-    one = organised.ptx_scan(organised.grid_points(4, 5, missing=0))
+    scan = organised.ptx_scan(organised.grid_points(4, 5, missing=0))
     for name, n_scans in (("one", 1), ("two", 2), ("four", 4)):
-        Path(f"{name}.ptx").write_text(one * n_scans)
+        Path(f"{name}.ptx").write_text(scan * n_scans)
     points = organised.grid_points(9, 7)
     turned = organised.ptx_scan(points, True, rotation=organised.turn_x(20), shift=(5, 6, 7))
     Path("turned.ptx").write_text(turned)
     moved = organised.ptx_scan(points, shift=(5, 6, 7), position=(1, 2, 3))
     bright = organised.ptx_scan(points * [1, 1, 1, 900])
-    Path("moved.ptx").write_text(moved + bright + one)
+    Path("moved.ptx").write_text(moved + bright + scan)
 
 
 def e57() -> None:
@@ -537,10 +537,10 @@ def odd_bags() -> None:
 
 def two_in_one() -> None:
     """Write clouds of two scanners each, whose points share a time by so many columns."""
-    one = bag.drive(400, together=True)
+    left = bag.drive(400, together=True)
     turn = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
-    two = {**one, "xyz": one["xyz"] @ turn}
-    both = {name: np.concatenate([one[name], two[name]]) for name in one}
+    right = {**left, "xyz": left["xyz"] @ turn}
+    both = {name: np.concatenate([left[name], right[name]]) for name in left}
     kind = bag.kind_of("time", "f8")
     for n_columns in (1, 70, 100):
         both["time"] = bag.COLUMN_S * (both["column"] // n_columns * n_columns)
