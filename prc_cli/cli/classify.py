@@ -25,6 +25,7 @@ from prc_cli.cli.report import (
     compiling_note,
     end_with,
     line_progress,
+    lines_of_shots,
     notices_of_files,
     print_classes,
     print_notices,
@@ -200,7 +201,7 @@ def _print_summaries(summaries: Sequence[RunSummary], seconds: float, *, verbose
     if n_shots < FEW_SHOTS:
         rate = "too few to check the labels"
     for summary in summaries:
-        what = f"{summary.counts.n_lines:,} lines of {summary.record.points_per_line:,} shots"
+        what = lines_of_shots(summary.counts.n_lines, summary.record.points_per_line)
         print_line(f"{summary.output}: {what}" + ("" if more else f" in {seconds:.1f} s ({rate})"))
     if more:
         print_line(f"{n_shots:,} shots in {seconds:.1f} s ({rate})")

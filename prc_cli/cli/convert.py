@@ -17,7 +17,14 @@ from prc_cli.cli.options import (
 )
 from prc_cli.cli.output import print_json, print_line
 from prc_cli.cli.paths import WRITTEN, ScanPath, in_folder
-from prc_cli.cli.report import NOT_KEPT, end_with, line_progress, print_assumptions, print_notices
+from prc_cli.cli.report import (
+    NOT_KEPT,
+    end_with,
+    line_progress,
+    lines_of_shots,
+    print_assumptions,
+    print_notices,
+)
 from prc_cli.jobs.convert import ConversionSummary
 from prc_cli.jobs.convert import convert as convert_file
 
@@ -72,8 +79,7 @@ def _print_summary(summary: ConversionSummary, seconds: float, *, verbose: bool)
     print_notices([f"{NOT_KEPT}{loss}" for loss in summary.losses])
     print_notices(notice for notice in record.notices if not notice.startswith(NOT_KEPT))
     rate = summary.n_shots / seconds / 1e6 if seconds else 0.0
-    what = (
-        f"{summary.n_lines:,} lines of {record.points_per_line:,} shots" if summary.n_lines else ""
-    )
-    what = what or f"{summary.n_shots:,} records"
+    what = f"{summary.n_shots:,} records"
+    if summary.n_lines:
+        what = lines_of_shots(summary.n_lines, record.points_per_line)
     print_line(f"{summary.output}: {what} in {seconds:.1f} s ({rate:.2g} million a second)")

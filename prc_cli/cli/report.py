@@ -82,6 +82,15 @@ class LineBar:
         self._share = share if share >= self._share else 0.0
 
 
+def lines_of_shots(n_lines: int, points_per_line: int) -> str:
+    """Return how many lines of how many shots there are; scanners may differ in M, which is 0 then.
+
+    >>> lines_of_shots(1200, 361), lines_of_shots(220, 0)
+    ('1,200 lines of 361 shots', '220 lines')
+    """
+    return f"{n_lines:,} lines" + (f" of {points_per_line:,} shots" if points_per_line else "")
+
+
 def accepting(check: str, hint: str) -> str:
     """Return a hint, and the option that accepts a warning.
 

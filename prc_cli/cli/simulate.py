@@ -11,7 +11,7 @@ import click
 from prc_cli.cli.options import Word, add_options, output_options, table_from
 from prc_cli.cli.output import console, print_json, print_line, print_text, results, table_of
 from prc_cli.cli.paths import READ, READ_TEXT, WRITTEN
-from prc_cli.cli.report import compiling_note, line_progress, print_notices
+from prc_cli.cli.report import compiling_note, line_progress, lines_of_shots, print_notices
 from prc_cli.config import params_to_toml
 from prc_cli.core.classes import Label
 from prc_cli.jobs.simulate import Beside, SimulationSummary, check_simulation
@@ -310,5 +310,5 @@ def _print_summary(summary: SimulationSummary, seconds: float, *, verbose: bool)
     for path in summary.files:
         print_line(f"{path} ({path.stat().st_size:,} bytes)")
     rate = counts.n_shots / seconds / 1e6 if seconds else 0.0
-    what = f"{counts.n_lines:,} lines of {record.points_per_line:,} shots"
+    what = lines_of_shots(counts.n_lines, record.points_per_line)
     print_line(f"{what} in {seconds:.1f} s ({rate:.2g} million a second)")

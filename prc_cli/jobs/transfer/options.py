@@ -55,7 +55,8 @@ class TransferOptions:
     """
 
     def __post_init__(self) -> None:
-        if self.match == "order":  # as for prc evaluate
+        typed = self.match
+        if typed == "order":  # as for prc evaluate
             object.__setattr__(self, "match", "record")
         kind, _, name = self.match.partition(":")
         if self.match not in ("time", "record", "nearest") and not (
@@ -75,7 +76,7 @@ class TransferOptions:
         if self.match != "time" and (
             (self.tolerance_s and self.match != "nearest") or self.time_offset_s
         ):
-            problem = f"--tolerance and --time-offset are for times, found --match {self.match}"
+            problem = f"--tolerance and --time-offset are for times, found --match {typed}"
             raise ConfigError("--match", problem, "leave them out")
         if not 0 <= self.min_matched <= 1:
             raise ConfigError(
