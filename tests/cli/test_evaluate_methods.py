@@ -1,5 +1,6 @@
 """`prc evaluate PREDICTED... REFERENCE`: several methods in one table."""
 
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -56,3 +57,16 @@ def test_the_confusion_of_the_paper_is_written(prc, table_i, tmp_path):
         for row in shares:
             cells = [f"{share / sum(row):.3f}" for share in row]
             assert any(line.endswith(f"{' | '.join(cells)} |") for line in lines)
+
+
+def test_every_cell_is_that_of_a_single_run(prc, table_i, tmp_path):
+    more = ("--intervals", "-M", "5")
+    table = prc.json(*arguments(table_i), *more)["methods"]
+    lines = list(csv.DictReader(written(prc, tmp_path / "a.csv", *arguments(table_i)).splitlines()))
+    for zeta_p in TABLE_I:
+        files = f"{table_i}/zeta_{zeta_p}.npy", f"{table_i}/car.npy"
+        single = ("evaluate", *files, "--mapping", "lehtola_urban")
+        assert table[f"PRC {zeta_p}"] == prc.json(*single, *more)
+        rows = csv.DictReader(written(prc, tmp_path / f"{zeta_p}.csv", *single).splitlines())
+        named = [{"method": f"PRC {zeta_p}", **row} for row in rows]
+        assert [row for row in lines if row["method"] == f"PRC {zeta_p}"] == named != []

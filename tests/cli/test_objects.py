@@ -5,8 +5,10 @@ import json
 
 import numpy as np
 import pytest
+from pyarrow import parquet
 
 from prc_cli.jobs.objects import COLUMNS
+from tests.methods.fused.street_lines import BEAM, street_lines
 
 
 @pytest.fixture(scope="module")
@@ -49,3 +51,26 @@ def test_stems_are_where_the_simulator_has_them(prc, forest):
     assert np.median(off) < 0.5
     record = json.loads((forest / "o.csv.prc.json").read_text())
     assert record["config"]["fused"]["environment"] == "forest"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_placed", [True, False])
+def test_every_form_holds_the_same_objects(prc, forest, tmp_path, is_placed):
+    np.savez(tmp_path / "s.npz", range_m=street_lines(150)[0], angle_deg=np.rad2deg(BEAM))
+    bare = f"{tmp_path}/s.npz --preset street-scan --set input.nadir=0"
+    command = f"objects {f'{forest}/walk.laz' if is_placed else bare} -q"
+    objects = [json.loads(line) for line in prc(f"{command} --json").out.splitlines()]
+    assert objects
+    assert all((row["x"] is None) != is_placed for row in objects)
+    printed = [{k: "" if v is None else str(v) for k, v in row.items()} for row in objects]
+    assert rows(prc(command).out) == printed
+    for suffix in ("csv", "parquet", "geojson"):
+        assert prc(f"{command} -o {tmp_path}/o.{suffix}").code == 0
+    assert rows((tmp_path / "o.csv").read_text()) == printed
+    assert parquet.read_table(tmp_path / "o.parquet").to_pylist() == objects
+    for feature, row in zip(
+        json.loads((tmp_path / "o.geojson").read_text())["features"], objects, strict=True
+    ):
+        place = [row.pop(axis) for axis in "xyz"]
+        assert feature["properties"] == row
+        assert (feature["geometry"] or {}).get("coordinates", [None] * 3) == place

@@ -91,3 +91,19 @@ def test_las_holds_the_records_of_the_window_alone(prc, folder):
     assert laspy.read(folder / "s.laz").header.point_count == np.count_nonzero(
         source.scan_line < 20
     )
+
+
+def test_evaluate_scores_the_window(prc, folder):
+    assert prc(f"classify {folder}/d.laz {folder}/e.laz", *URBAN).code == 0
+    source = laspy.read(folder / "d.laz")
+    since_s = source.gps_time - source.gps_time[0]
+    command = f"evaluate {folder}/e.laz {folder}/e.laz --only"
+    in_lines = (source.scan_line >= 20) & (source.scan_line < 50)
+    assert prc.json(f"{command} 20:50")["n_scored"] == in_lines.sum()
+    in_time = (since_s >= 2) & (since_s < 5)
+    assert prc.json(f"{command} +2:+5")["n_scored"] == in_time.sum()
+    parts = prc.json(f"{command} 20:50 --by lines:10")["splits"]["lines"]
+    assert {part["name"]: part["n_scored"] for part in parts} == {
+        f"lines {low}-{low + 9}": (source.scan_line // 10 == low // 10).sum()
+        for low in (20, 30, 40)
+    }

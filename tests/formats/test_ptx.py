@@ -15,6 +15,7 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised import e57_read, ptx
 from prc_cli.formats.organised.ptx import PtxStream
 from prc_cli.streams.open import open_input
+from tests.formats.cloud_files import pulse_folder
 from tests.formats.organised_files import (
     Array,
     Scan,
@@ -149,3 +150,25 @@ def test_the_standing_car(real_data):
     seen = np.concatenate([block.range_m.ravel(), block.extra.range_m])
     ranges = np.sort(np.fromfile(folder / ECHOES, "<f4"))
     np.testing.assert_array_equal(np.sort(seen[np.isfinite(seen)])[-1000:], ranges[-1000:])
+
+
+def test_a_window_of_lines_is_taken_from_every_scan(tmp_path):
+    scans = [grid_points(9, 7), grid_points(9, 7), grid_points(5, 7)]
+    path = write_text(tmp_path / "a.ptx", "".join(map(ptx_scan, scans)))
+    blocks = [*open_input(Input.of(path), InputConfig(only_lines="4:6")).blocks()]
+    assert [(block.scanner, block.first_line) for block in blocks] == [(0, 4), (1, 4), (2, 4)]
+    for block, points in zip(blocks, scans, strict=True):
+        assert equal(block.range_m, expected(points[4:6])[0])
+
+
+def test_a_shot_without_return_that_meets_another_costs_no_echo(tmp_path):
+    path = pulse_folder(tmp_path / "p")
+    angles = path.with_name("pulse-float32-theta.bin")
+    theta = np.fromfile(angles, "<f4")
+    empty = np.flatnonzero(np.fromfile(path, np.uint8) == 0)[60]
+    theta[empty] = theta[empty - 1]
+    theta.tofile(angles)
+    block = join([*open_input(Input.of(path), AUTO).blocks()])
+    ranges = np.append(block.range_m[np.isfinite(block.range_m)], block.extra.range_m)
+    echoes = np.fromfile(path.with_name("echo-float32-range.bin"), "<f4")
+    np.testing.assert_array_equal(np.sort(ranges), np.sort(echoes))

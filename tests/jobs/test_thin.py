@@ -2,14 +2,17 @@
 
 from fractions import Fraction
 
+import laspy
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
 from prc_cli.core.stream import ExtraReturns, ScanBlock
 from prc_cli.formats.writing.base import NO_CODE, StreamItem
-from prc_cli.jobs.thin import parse_rules
+from prc_cli.jobs.classify import classify
+from prc_cli.jobs.thin import parse_rules, thin
 from prc_cli.jobs.thin.rules import choose, keep_by_pattern, keep_by_spacing, without
+from tests.street import street, write_npz
 
 
 @given(st.integers(0, 30), st.integers(1, 30), st.integers(0, 10**6))
@@ -74,3 +77,22 @@ def test_the_nearest_further_return_takes_the_place_of_a_dropped_one():
     np.testing.assert_array_equal(left.codes, [[2, 6, NO_CODE]])
     assert left.block.extra.record.tolist() == [3]
     assert left.extra_codes.tolist() == [5]
+
+
+def test_las_keeps_every_field_of_what_stays(tmp_path):
+    classify(write_npz(tmp_path / "drive.npz", street()), tmp_path / "drive.laz")
+    summary = thin(tmp_path / "drive.laz", tmp_path / "thin.laz", parse_rules(["ground=1/4"]))
+    before = laspy.read(tmp_path / "drive.laz")
+    after = laspy.read(tmp_path / "thin.laz")
+    code = np.asarray(before.classification)
+    quarter = (before.column.astype(int) + 2 * before.scan_line.astype(int)) % 4 == 0
+    stays = (code != 7) & ((code != 2) | quarter)
+    assert 0 < (stays & (code == 2)).sum() < (code == 2).sum()
+    np.testing.assert_array_equal(after.points.array, before.points.array[stays])
+    assert [(item.n_input, item.n_kept) for item in summary.classes] == [
+        ((code == item.code).sum(), (stays & (code == item.code)).sum()) for item in summary.classes
+    ]
+    header = after.header
+    assert list(header.number_of_points_by_return[:2]) == [stays.sum(), 0]
+    np.testing.assert_allclose(header.mins, after.xyz.min(axis=0), atol=1e-9)
+    np.testing.assert_allclose(header.maxs, after.xyz.max(axis=0), atol=1e-9)

@@ -119,3 +119,18 @@ def test_packets_of_an_ouster_need_its_metadata(tmp_path):
     data = struct.pack("<I", 3) + b"abc"
     with pytest.raises(InputError, match="packets of an Ouster need its metadata"):
         list(reader.add(Message(topic, 0, data, 0), 0))
+
+
+def test_echoes_are_returns(tmp_path):
+    lists = [[3.0, 5.0], [], [7.0], [0.01, 9.0], [200.0]]
+    lit = [[1.0, 8.0], [], [2.0], [9.0, 1.0], [1.0]]
+    path = made.write_bag(tmp_path / "echoes.bag", made.echoes(1, lists, lit, n=2))
+    (block,) = read(path)[1]
+    np.testing.assert_array_equal(block.range_m, [[5, np.nan, 7, 9, np.nan]] * 2)
+    np.testing.assert_array_equal(block.records(), [[1, 2, 3, 5, 6], [8, 9, 10, 12, 13]])
+    extra = block.extra
+    assert [*zip(extra.line, extra.column, extra.range_m, extra.record, strict=True)] == [
+        (0, 0, 3, 0),
+        (1, 0, 3, 7),
+    ]
+    assert read(path, **{"return": "first"})[1][0].range_m[0, 0] == 3

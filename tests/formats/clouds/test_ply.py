@@ -9,13 +9,15 @@ from hypothesis import strategies as st
 from plyfile import PlyData
 
 from prc_cli.core.blocks import join
+from prc_cli.core.classes import ClassCodes
 from prc_cli.formats import binary
 from prc_cli.formats.clouds.pcd import decode_lzf
 from prc_cli.formats.input import Input
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import Source
 from prc_cli.streams.open import open_input
-from tests.formats.cloud_files import lzf, ply
+from tests.formats.cloud_files import lzf, pcd, ply
+from tests.formats.common import random_labels, record_blocks, write
 
 
 def opened(path: Path) -> Source:
@@ -106,3 +108,24 @@ def test_damaged_lzf_is_told(seed):
         damaged[rng.integers(len(damaged))] = rng.integers(256)
         unpacked = decode_lzf(memoryview(damaged[: rng.integers(1, len(damaged) + 1)]), 900)
         assert unpacked is None or len(unpacked) == 900
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary", "binary_little_endian", "binary_big_endian"])
+def test_a_cloud_keeps_its_properties_as_plyfile_reads_them(tmp_path, form):
+    """Class, line and column are added to what was there."""
+    line, column = np.divmod(np.arange(300, dtype=np.uint32), 20)
+    made = {
+        "range": np.linspace(2, 60, 300, dtype=np.float32),
+        "scan_line": line,
+        "column": column,
+        "quality": np.arange(300, dtype=np.int16),
+    }
+    source = tmp_path / ("g.pcd" if form == "binary" else "g.ply")
+    source.write_bytes(pcd(made, form) if form == "binary" else ply(made, form))
+    labels = random_labels(300)
+    write(tmp_path / "o.ply", source, record_blocks(labels))
+    vertex = PlyData.read(str(tmp_path / "o.ply"))["vertex"]
+    made["class"] = ClassCodes().lookup()[labels]
+    assert {prop.name for prop in vertex.properties} == made.keys()
+    for name, values in made.items():
+        np.testing.assert_array_equal(vertex[name], values)

@@ -157,3 +157,38 @@ def test_every_shot_finds_its_own_point(drive, poses):
     n = int(np.isfinite(np.load(drive / "drive.npz")["range_m"]).sum())
     assert scores["match"]["n_matched"] == n
     assert scores["classes"]["ground"]["f1"] == scores["classes"]["building"]["f1"] == 1.0
+
+
+@pytest.mark.slow
+def test_areas_heights_and_trees_choose_the_points_that_lie_in_them(town, folder, tmp_path):
+    x, y = np.round(town.xyz[:, :2].T, 3)
+    inside = (x >= 10) & (x <= 30) & (y >= 0) & (y <= 12)
+    area = run(folder, inside="10,0,30,12", unmatched="noise", tolerance=0.3)
+    assert area.match.n_predicted == len(x)
+    assert area.matrix.n_scored == pytest.approx(inside.sum(), abs=3)
+    (tmp_path / "trees.csv").write_text("x,y,radius,height\n50.5,10,0.4,2\n20.25,4.25,0.5,9\n")
+    for options, name, n in (
+        ({"height": (1.0, 3.0)}, "ground", 0),
+        # the wall is 6 m high
+        ({"height": (1.0, 3.0)}, "building", 30_000 / 3),
+        # the post is one, and a block of 2 m stands in the other cylinder, which begins at 0.3 m
+        ({"trees": tmp_path / "trees.csv"}, "stem", 3_000 + 1_500 * 1.7 / 2),
+    ):
+        matrix = run(folder, tolerance=0.3, **options).matrix
+        rows = dict(zip(matrix.reference_names, matrix.counts.sum(axis=1), strict=True))
+        assert rows[name] == pytest.approx(n, rel=0.05)
+
+
+@pytest.mark.parametrize("match, tolerance", [("nearest", 0.001), ("order", None)])
+def test_three_labellings_are_counted_shot_by_shot(town, folder, tmp_path, match, tolerance):
+    third = np.where(town.codes == 65, 6, town.codes)
+    truth = write_las(tmp_path / "truth.las", town.xyz, town.codes)
+    path = write_las(tmp_path / "third.las", town.xyz, third)
+    options = EvaluateOptions(match=match, third=path, tolerance=tolerance)
+    three = evaluate_all([folder / "run.las"], [truth], MAPPING, options=options).three
+    right = town.labels == town.codes
+    states = three.states()
+    assert states["both right"] == (right & (third == town.codes)).sum()
+    assert states["only predicted right"] == (right & (third != town.codes)).sum()
+    assert states["only third right"] == (~right & (third == town.codes)).sum()
+    assert sum(states.values()) == len(right)
