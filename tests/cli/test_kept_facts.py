@@ -74,6 +74,3 @@ def test_intensities_keep_their_steps_and_damage_costs_one_place(prc, tmp_path):
     written = laspy.read(tmp_path / "a.las")
     np.testing.assert_allclose(written.intensity / 65535, np.linspace(0, 1, len(LINE)), atol=1e-5)
     np.testing.assert_allclose(np.delete(written.x, 5), np.delete(x, 5), atol=1e-3)
-    of_two = ply(tmp_path / "b.ply", intensity=(LINE % 2).astype(np.uint8))
-    prc(f"classify {of_two} {tmp_path}/b.las -q {OPTIONS}")
-    np.testing.assert_array_equal(laspy.read(tmp_path / "b.las").intensity, LINE % 2)

@@ -133,4 +133,3 @@ def test_echoes_are_returns(tmp_path):
         (0, 0, 3, 0),
         (1, 0, 3, 7),
     ]
-    assert read(path, **{"return": "first"})[1][0].range_m[0, 0] == 3

@@ -168,7 +168,6 @@ def test_areas_heights_and_trees_choose_the_points_that_lie_in_them(town, folder
     assert area.matrix.n_scored == pytest.approx(inside.sum(), abs=3)
     (tmp_path / "trees.csv").write_text("x,y,radius,height\n50.5,10,0.4,2\n20.25,4.25,0.5,9\n")
     for options, name, n in (
-        ({"height": (1.0, 3.0)}, "ground", 0),
         # the wall is 6 m high
         ({"height": (1.0, 3.0)}, "building", 30_000 / 3),
         # the post is one, and a block of 2 m stands in the other cylinder, which begins at 0.3 m
@@ -191,4 +190,3 @@ def test_three_labellings_are_counted_shot_by_shot(town, folder, tmp_path, match
     assert states["both right"] == (right & (third == town.codes)).sum()
     assert states["only predicted right"] == (right & (third != town.codes)).sum()
     assert states["only third right"] == (~right & (third == town.codes)).sum()
-    assert sum(states.values()) == len(right)
