@@ -101,13 +101,18 @@ def programs() -> list[str]:
 
 
 def _read(path: Path) -> dict[str, list[str]]:
-    """Read a table: a name, its commands with 4 blanks, what continues them with 8."""
+    """Read a table: a name, its commands with 4 blanks, what continues them with 8.
+
+    A line that begins with ``#`` is a comment.
+    """
     text = path.read_text(encoding="utf-8")
     for name, words in NAMES.items():
         text = text.replace(name, words)
     cases: dict[str, list[str]] = {}
     commands: list[str] = []
     for line in filter(str.strip, text.splitlines()):
+        if line.startswith("#"):
+            continue
         if line.startswith(" " * 8):
             commands[-1] += "\n" + line[8:]
         elif line.startswith(" " * 4):

@@ -30,7 +30,7 @@ from tests.golden.cases import EXIT_CODE_ONLY, ONE_LINE_A_FILE, all_cases, words
 from tests.golden.inputs import ROOT, answer, make
 
 GOLDEN = Path(__file__).with_name("golden.json")
-SHORT = 1_000
+SHORT = {"stdout": 1_000, "stderr": 3_000}
 """Printed text of so many characters is kept as it is, longer text as its hash."""
 TOLD = {"TERM": "dumb", "PYTHONWARNINGS": "ignore", "SOURCE_DATE_EPOCH": "0"}
 # last digits of NumPy's sines and of OpenBLAS's products are others with AVX-512: every machine
@@ -86,8 +86,8 @@ def digest(data: bytes | str) -> str:
     ).hexdigest()
 
 
-def lines_or_digest(text: str) -> list[str] | str:
-    if len(text) <= SHORT:
+def lines_or_digest(text: str, most: int) -> list[str] | str:
+    if len(text) <= most:
         return text and text.split("\n")
     return f"sha256 {digest(text)}, {text.count(chr(10))} lines"
 
@@ -232,9 +232,10 @@ def run_case(name: str, commands: list[str], folder: str) -> tuple[str, Result, 
             codes.append(code)
     result: Result = {"exit": ", ".join(map(str, codes))}
     if not name.startswith(EXIT_CODE_ONLY):
-        for suffix, text in (("out", out), ("err", err)):  # to look at, with --folder
-            Path(folder, f"{name}.{suffix}").write_text(text, encoding="utf-8")
-        result |= {"stdout": lines_or_digest(out), "stderr": lines_or_digest(err)}
+        for stream, text in (("stdout", out), ("stderr", err)):
+            # to look at, with --folder
+            Path(folder, f"{name}.{stream}").write_text(text, encoding="utf-8")
+            result[stream] = lines_or_digest(text, SHORT[stream])
         files = sorted(
             path
             for path in place.rglob("*")
