@@ -8,7 +8,7 @@ LONGEST_LINE = 160
 _FIRST = re.compile(r"(error|warning): |(\[[-\d/]+\] )?(failed|not compared|left out) ")
 _NEXT = re.compile(r"  \S")
 _AS_LONG_AS_IT_IS = re.compile(
-    r"\S*/\S*|(?<= one of).*|(?<=it has: ).*|(?:[^,]+, ){5,}.*|--set .*|--\S+ [A-Z,]+|\w+ = .*"
+    r"\S*/\S*|(?<= one of).*|(?<=it has: ).*|(?:[^,]+, ){5,}.*|--set .*|--\S+ \S+|\w+ = .*"
 )
 
 

@@ -154,7 +154,7 @@ def _check_planes(arc: F64, off: F64, rise: F64) -> None:
         raise WrongOriginError(
             "xyz is not relative to the scanner: the shots of a line lie "
             f"{math.degrees(out):.2f} deg off a plane "
-            f"through the origin, over an arc of {math.degrees(whole):.1f} deg"
+            f"through the origin over {math.degrees(whole):.1f} deg"
         )
     # planes of short lines are uncertain
     low, high = np.percentile(rise[arc >= 0.5 * whole], (5, 95)).tolist()
