@@ -8,7 +8,7 @@ import pytest
 
 from prc_cli.core.types import F64
 from prc_cli.matching.join import Columns, JoinTally
-from prc_cli.matching.nearest import Cloud, fit_of, nearest_join, tiles_of
+from prc_cli.matching.nearest import CELL_M, Cloud, fit_of, nearest_join, tiles_of
 from prc_cli.matching.shift import shift_of
 
 
@@ -52,6 +52,14 @@ def test_every_point_comes_once_with_its_nearest_one(
     np.testing.assert_array_equal(nearest, expected)
     used = len(set(expected.tolist()) - {-1})
     assert (tally.n_left, tally.n_pairs, tally.n_right) == (n, int((expected >= 0).sum()), used)
+
+
+def test_tiles_lie_around_left_points_only():
+    cells = [(column, row) for column in range(9) for row in range(9)]
+    right = np.array([(column + 0.5, row + 0.5, 0.0) for column, row in cells]) * CELL_M
+    tiles = tiles_of(cloud(right[cells.index((4, 4))][None]), cloud(right), 1)
+    around = {(column, row) for column in (3, 4, 5) for row in (3, 4, 5)}
+    assert {(west // CELL_M, south // CELL_M) for west, south, *_ in tiles} == around
 
 
 def test_of_points_as_near_the_one_of_the_nearest_time_is_taken():

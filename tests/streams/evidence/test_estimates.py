@@ -12,7 +12,7 @@ from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32
 from prc_cli.jobs.choice import choice_by_beams
 from prc_cli.streams.evidence.figures import LineSample
-from prc_cli.streams.evidence.periods import estimate_points_per_line, measure_rates
+from prc_cli.streams.evidence.periods import estimate_points_per_line, measure_rates, shot_period
 from prc_cli.streams.evidence.place import MOST_LINES, SAMPLE_LINES, place_of, place_of_blocks
 from tests.formats.cloud_files import Array
 from tests.methods.fused.street_lines import BEAM, street_lines
@@ -218,3 +218,12 @@ def test_a_sample_is_even_whatever_the_blocks(chunk, n_lines):
 
 
 # -- estimates
+
+
+@pytest.mark.parametrize("step_s", [1e-5, 3.7e-4])
+def test_pauses_do_not_shift_the_period_of_shots(step_s):
+    """Most shots in a row have returns; a pause is no whole number of shots long."""
+    shot = np.arange(4000)
+    shot = shot[shot % 7 < 5]
+    time_s = step_s * (shot + 700.3 * (shot // 100))
+    assert shot_period(time_s) == pytest.approx(step_s, rel=1e-4)
