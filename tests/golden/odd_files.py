@@ -421,6 +421,14 @@ def captures() -> None:
     Path("simple.pcapng").write_bytes(head + simple)
 
 
+def makers() -> None:
+    """Write packets of every Hesai with a return and with two."""
+    for name in packet.HESAI:
+        for kind, mode in (("single", 0x37), ("dual", 0x39)):
+            sent = packet.hesai(name, 40, mode=mode)[0]
+            packet.write_pcap(Path(f"{name}-{kind}.pcap"), packet.framed(sent))
+
+
 def links() -> None:
     """Write the same packets as they come over every kind of link."""
     bodies = [packet.udp(body) for body in packet.vlp16(6)]

@@ -144,16 +144,27 @@ HESAI = {
 blocks."""
 
 
+COLUMN_US = {
+    "40P": 55.56,
+    "64": 55.56,
+    "QT64": 166.67,
+    "QT128": 111.11,
+    "128": 55.556,
+    "OT128": 55.556,
+}
+"""From column to column; the others need 50."""
+
+
 def hesai(
     name: str,
     n: int = 4,
     *,
     mode: int = 0x37,
-    column_us: float = 50.0,
 ) -> tuple[list[bytes], np.ndarray]:
     """Packets of a Hesai, and the distances in them in units of 4 mm, (blocks, channels)."""
     start, size, channels, n_blocks, head, shot, mode_at, time_at = HESAI[name]
     rng = np.random.default_rng(5)
+    column_us = COLUMN_US.get(name, 50.0)
     returns = 2 if mode == 0x39 else 1
     packets = []
     every = []

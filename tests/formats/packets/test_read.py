@@ -150,7 +150,7 @@ def test_every_velodyne_is_what_velodyne_decoder_reads(tmp_path, model):
 @pytest.mark.parametrize("name", made.HESAI)
 @pytest.mark.parametrize("mode", [0x37, 0x39])
 def test_every_hesai_has_the_distances_of_its_packets(tmp_path, name, mode):
-    packets, units = made.hesai(name, 40, mode=mode, column_us=COLUMNS_US.get(name, 50.0))
+    packets, units = made.hesai(name, 40, mode=mode)
     path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets))
     stream, block = read(path, **{"return": "last"})
     assert f"Hesai {name} at" in " ".join(
@@ -172,16 +172,6 @@ def test_every_hesai_has_the_distances_of_its_packets(tmp_path, name, mode):
     np.testing.assert_allclose(
         np.nanmedian(elevation_deg, axis=0), np.array(table["elevation_deg"])[order], atol=1e-3
     )
-
-
-COLUMNS_US = {
-    "40P": 55.56,
-    "64": 55.56,
-    "QT64": 166.67,
-    "QT128": 111.11,
-    "128": 55.556,
-    "OT128": 55.556,
-}
 
 
 def test_nanoseconds_move_no_cell(tmp_path):
