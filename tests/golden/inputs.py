@@ -81,7 +81,7 @@ def frame() -> Array:
     return np.column_stack([*xyz, np.arange(len(turn)) % 7]).astype("<f4")
 
 
-def make_spoilt() -> None:
+def make_spoilt(street: str, forest: str, static: str, rings: str) -> None:
     """Write simulated scans on a grid of 12.5 cm, with stray and missing shots."""
     rng = np.random.default_rng(6)
 
@@ -89,12 +89,12 @@ def make_spoilt() -> None:
         image = np.round(8 * values.T) / 8
         return (image * rng.choice([1] * 20 + [0.4, np.nan], image.shape[-2:])).T
 
-    for name, path, step in (("street", "sim-street/s", 9), ("forest", "sim-forest/f", 11)):
-        scan = np.load(f"../{path}.npz")
+    for name, path, step in (("street", street, 9), ("forest", forest, 11)):
+        scan = np.load(path)
         ranges = spoilt(scan["range_m"])[:, ::step]
         np.savez(name, range_m=ranges, angle_deg=scan["angle_deg"][::step])
-    for name, path, step in (("scan", "sim-scan/p", 8), ("rings", "sim-turns-vlp16/v", 1)):
-        np.savez(name, xyz=spoilt(np.load(f"../{path}.npz")["xyz"])[:, ::step])
+    for name, path, step in (("scan", static, 8), ("rings", rings, 1)):
+        np.savez(name, xyz=spoilt(np.load(path)["xyz"])[:, ::step])
 
 
 def make_misread(source: str) -> None:

@@ -323,9 +323,9 @@ def waveforms() -> None:
     Path("b.las").write_bytes(data)
 
 
-def piped() -> None:
+def piped(source: str) -> None:
     """Write a LAZ file as programs do that cannot seek: its chunk table is told at the end."""
-    data = bytearray(Path("../las-low-packed/0.laz").read_bytes())
+    data = bytearray(Path(source).read_bytes())
     start = lasfile.field(data, 96, "I")
     data += data[start : start + 8]
     data[start : start + 8] = b"\xff" * 8

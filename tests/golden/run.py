@@ -147,7 +147,7 @@ STEPS: dict[str, Callable[..., object]] = {
     "@misread": inputs.make_misread,
     "@doubtful": inputs.make_doubtful,
     "@stored": inputs.make_stored,
-    "@odd": lambda name: getattr(import_module("tests.golden.odd_files"), name)(),
+    "@odd": lambda name, *sources: getattr(import_module("tests.golden.odd_files"), name)(*sources),
     "@cp": _copy,
     "@cut": lambda path, n: os.truncate(path, int(n)),
     "@half": lambda path: os.truncate(path, Path(path).stat().st_size // 2),
