@@ -18,7 +18,15 @@ KEPT = json.loads(GOLDEN.read_text(encoding="utf-8"))
 SCANS = {"sim-sick", "sim-scan", "sim-street-laz"}
 """Inputs of about half of the cases, so that one worker alone makes them."""
 
-LONG = ("demo", "info-points", "batch-formats")
+LONG = (
+    "demo",
+    "info-points",
+    "batch-formats",
+    "batch-reference",
+    "batch-references",
+    "batch-done-reference",
+    "batch-methods",
+)
 """Cases that take most of the time; no other case reads their files."""
 
 
