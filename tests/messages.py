@@ -4,12 +4,10 @@ import re
 
 MOST_LINES = 3
 LONGEST_LINE = 160
-"""Longest line of a message without paths, lists, options and keys to type [characters]."""
+"""Longest line of a message, without paths and lists of choices [characters]."""
 _FIRST = re.compile(r"(error|warning): |(\[[-\d/]+\] )?(failed|not compared|left out) ")
 _NEXT = re.compile(r"  \S")
-_AS_LONG_AS_IT_IS = re.compile(
-    r"\S*/\S*|(?<= one of).*|(?<=it has: ).*|(?:[^,]+, ){5,}.*|--set .*|--\S+ \S+|\w+ = .*"
-)
+_AS_LONG_AS_IT_IS = re.compile(r"\S*/\S*|(?<= one of).*")
 
 
 def messages(err: str) -> list[list[str]]:
